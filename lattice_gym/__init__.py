@@ -1,0 +1,1 @@
+"""Gymnasium environments of a lattice worm made of Cosserat rods."""

@@ -1,0 +1,182 @@
+"""The fused engine: packs a `RodModel` into lanes and lets one compiled call advance it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+
+from lattice_gym.design import FloatArray, IntArray
+from lattice_gym.engines import MAX_DILATATION, MIN_DILATATION, Engine, Health, Status, kernels
+from lattice_gym.model import Rod, RodModel, RodState
+
+
+@dataclass(frozen=True)
+class _Placement:
+    """Where every rod stands: its first record and lane; blocks are rows (first record, one past the last)."""
+
+    rod_cell: IntArray
+    rod_lane: IntArray
+    passive: IntArray
+    active: IntArray
+    n_cell: int
+
+    def cell(self, rod: int, index: int) -> int:
+        """Record of a node or element."""
+        return int(self.rod_cell[rod]) + index
+
+
+def _place(model: RodModel) -> _Placement:
+    """Rods of one element count share blocks; muscles have their own, so that no other block pays for tension."""
+    muscles = set(model.muscles)
+    groups: dict[tuple[bool, int], list[int]] = defaultdict(list)
+    for index, rod in enumerate(model.rods):
+        groups[index in muscles, rod.n_elem].append(index)
+    rod_cell, rod_lane = np.zeros(model.n_rod, np.int64), np.zeros(model.n_rod, np.int64)
+    bounds: dict[bool, list[tuple[int, int]]] = {False: [], True: []}
+    n_cell = 0
+    for (is_muscle, n_elem), members in sorted(groups.items()):
+        for start in range(0, len(members), kernels.LANES):
+            block = members[start : start + kernels.LANES]
+            rod_cell[block], rod_lane[block] = n_cell, np.arange(len(block))
+            bounds[is_muscle].append((n_cell, n_cell + n_elem + 1))
+            n_cell += n_elem + 1
+    passive, active = (np.array(bounds[kind], np.int64).reshape(-1, 2) for kind in (False, True))
+    return _Placement(rod_cell, rod_lane, passive, active, n_cell)
+
+
+def _fill_lane(cells: kernels.Cells, lane: int, rod: Rod, dt: float) -> None:
+    """Write a rod's constants and rest shape into one lane of its records, shape (n_elem + 1,)."""
+    nodes, elements, voronoi = cells, cells[:-1], cells[:-2]
+    nodes["x"][:, :, lane] = rod.position
+    nodes["kick"][:, lane] = dt / rod.mass
+    nodes["keep"][:, lane] = np.exp(-rod.damping / rod.mass * dt)
+    elements["q"][:, :, lane] = rod.directors.reshape(-1, 9)
+    elements["rest"][:, lane] = rod.rest_length
+    elements["inv_rest"][:, lane] = 1.0 / rod.rest_length
+    elements["shear"][:, lane] = rod.shear_stiffness
+    elements["stretch"][:, lane] = rod.stretch_stiffness
+    elements["spin_kick"][:, lane] = dt / rod.inertia
+    elements["spin_decay"][:, lane] = 0.5 * dt * rod.rotational_damping / rod.inertia
+    elements["free"][:, lane] = 1.0
+    voronoi["rest_voronoi"][:, lane] = rod.rest_voronoi
+    voronoi["inv_rest_voronoi"][:, lane] = 1.0 / rod.rest_voronoi
+    voronoi["bend"][:, lane] = rod.bend_stiffness
+    voronoi["twist"][:, lane] = rod.twist_stiffness
+    voronoi["rest_kappa"][:, :, lane] = rod.rest_kappa
+
+
+class FusedEngine(Engine):
+    """All rods of equal element count side by side in lanes; see `kernels`."""
+
+    def __init__(self, model: RodModel, dt: float) -> None:
+        super().__init__(model, dt)
+        place = self._place = _place(model)
+        counts = np.array([rod.n_elem for rod in model.rods])
+        self._node_lane = np.repeat(place.rod_lane, counts + 1)
+        self._node_cell = np.concatenate([c + np.arange(n + 1) for c, n in zip(place.rod_cell, counts, strict=True)])
+        self._element_lane = np.repeat(place.rod_lane, counts)
+        self._element_cell = np.concatenate([c + np.arange(n) for c, n in zip(place.rod_cell, counts, strict=True)])
+        self._cells = self._pack_rods()
+        muscle = np.full(model.n_rod, -1)
+        muscle[list(model.muscles)] = np.arange(model.n_muscle)
+        muscle_of = np.repeat(muscle, counts)
+        pulled = muscle_of >= 0
+        self._pull = self._element_cell[pulled], self._element_lane[pulled], muscle_of[pulled]
+        self._joints, self._joint_damping = self._pack_joints()
+        self._loads = self._pack_loads()
+        self._couples = self._pack_torques()
+        self._spin_damping = 1.0 if any(rod.rotational_damping > 0.0 for rod in model.rods) else None
+        self._time = 0.0
+
+    def _pack_rods(self) -> kernels.Cells:
+        """All records at rest. A spare lane holds a copy of its block's first rod, unloaded, and stays there."""
+        place, cells = self._place, np.zeros(self._place.n_cell, kernels.CELL)
+        for start, stop in (*place.passive, *place.active):
+            members = np.flatnonzero(place.rod_cell == start).tolist()
+            for lane in range(kernels.LANES):
+                rod = self.model.rods[members[lane] if lane < len(members) else members[0]]
+                _fill_lane(cells[start:stop], lane, rod, self.dt)
+        for clamp in self.model.clamps:
+            lane = place.rod_lane[clamp.rod]
+            if clamp.node is not None:
+                cells["keep"][place.cell(clamp.rod, clamp.node), lane] = 0.0
+            if clamp.element is not None:
+                cells["free"][place.cell(clamp.rod, clamp.element), lane] = 0.0
+        return cells
+
+    def _pack_joints(self) -> tuple[kernels.Joints, FloatArray | None]:
+        place, joints = self._place, self.model.joints
+        packed = kernels.Joints(
+            np.array([place.cell(j.rod_a, j.node_a) for j in joints], np.int64),
+            np.array([place.rod_lane[j.rod_a] for j in joints], np.int64),
+            np.array([place.cell(j.rod_b, j.node_b) for j in joints], np.int64),
+            np.array([place.rod_lane[j.rod_b] for j in joints], np.int64),
+            np.array([j.stiffness for j in joints], np.float64),
+        )
+        damping = np.array([j.damping for j in joints], np.float64)
+        return packed, damping if damping.any() else None
+
+    def _pack_loads(self) -> kernels.Loads | None:
+        place, forces = self._place, self.model.forces
+        if not forces:
+            return None
+        return kernels.Loads(
+            np.array([place.cell(f.rod, f.node) for f in forces], np.int64),
+            np.array([place.rod_lane[f.rod] for f in forces], np.int64),
+            np.array([f.force for f in forces], np.float64),
+        )
+
+    def _pack_torques(self) -> float | None:
+        for load in self.model.torques:
+            cell, lane = self._place.cell(load.rod, load.element), self._place.rod_lane[load.rod]
+            self._cells["couple"][cell, :, lane] += load.torque
+        return 1.0 if self.model.torques else None
+
+    @property
+    def state(self) -> RodState:
+        """A copy of the state."""
+        cells, n_elem = self._cells, self.model.n_elem
+        return RodState(
+            position=cells["x"][self._node_cell, :, self._node_lane],
+            velocity=cells["v"][self._node_cell, :, self._node_lane],
+            directors=cells["q"][self._element_cell, :, self._element_lane].reshape(n_elem, 3, 3),
+            omega=cells["w"][self._element_cell, :, self._element_lane],
+            time=self._time,
+        )
+
+    def _restore(self, state: RodState) -> None:
+        cells = self._cells
+        cells["x"][self._node_cell, :, self._node_lane] = state.position
+        cells["v"][self._node_cell, :, self._node_lane] = state.velocity
+        cells["q"][self._element_cell, :, self._element_lane] = state.directors.reshape(-1, 9)
+        cells["w"][self._element_cell, :, self._element_lane] = state.omega
+        cells["force"] = 0.0
+        self._time = state.time
+
+    def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:
+        cell, lane, muscle = self._pull
+        rise = (end - start) / n_substeps
+        self._cells["tension"][cell, lane] = (start + 0.5 * rise)[muscle]
+        self._cells["tension_rise"][cell, lane] = rise[muscle]
+        kernels.advance(
+            self._cells,
+            self._place.passive,
+            self._place.active,
+            self._joints,
+            self._joint_damping,
+            self._loads,
+            self._couples,
+            self._spin_damping,
+            n_substeps,
+            self.dt,
+        )
+        self._time += n_substeps * self.dt
+        code, element = kernels.inspect(
+            self._cells, self._element_cell, self._element_lane, MIN_DILATATION, MAX_DILATATION
+        )
+        if code == Status.OK:
+            return Health()
+        rod = int(np.searchsorted(self.model.element_offset, element, side="right")) - 1
+        return Health(Status(code), rod, element - int(self.model.element_offset[rod]))

@@ -1,0 +1,419 @@
+"""All compiled code of the fused engine: one position-Verlet step of a whole rod assembly.
+
+Rods with the same element count stand side by side in `LANES` lanes of one *block*: record n of a block holds
+node n, element n and the Voronoi region between elements n and n + 1 of each of its rods. Every field of the
+structured dtype has a compile-time offset, so LLVM proves that fields do not alias and turns each
+`for j in range(LANES)` loop into packed instructions. A spare lane holds a copy of a rod without joints.
+
+The equations are those of Gazzola et al. 2018 (R. Soc. Open Sci. 5:171628) as PyElastica 1.0.0 discretises them:
+circular sections (so J3 = 2 J1), linear elasticity, volume-preserving stretch. Within a step, in this order:
+joints, point loads, internal forces and muscle tension, kick, damping, drift. The half drift that ends a step and the
+one that begins the next are one full drift; the first and the last of a call are halves.
+
+All of this stands in one file because numba's cache looks at one file only: a helper elsewhere could be edited
+and the old machine code would run on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar, cast
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+LANES = 16
+
+_PER_LANE: dict[str, int] = {
+    # node
+    "x": 3, "v": 3, "force": 3, "kick": 1, "keep": 1,
+    # element
+    "q": 9, "w": 3, "rest": 1, "inv_rest": 1, "shear": 1, "stretch": 1, "rest_sigma": 3, "spin_kick": 1, "free": 1,
+    # Voronoi region
+    "rest_voronoi": 1, "inv_rest_voronoi": 1, "bend": 1, "twist": 1, "rest_kappa": 3,
+    # work space
+    "torque": 3, "length": 1, "dilatation": 1, "stretch_rate": 1, "half_angle": 1, "spin_keep": 1,
+    # only where the scene has them
+    "tension": 1, "tension_rise": 1, "couple": 3, "spin_decay": 1,
+}  # fmt: skip
+CELL = np.dtype([(name, np.float64, (size, LANES) if size > 1 else (LANES,)) for name, size in _PER_LANE.items()])
+"""One record of a block; `x[i, lane]` and so on. See `_PER_LANE` for the number of components."""
+
+Cells = npt.NDArray[Any]
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+class Joints(NamedTuple):
+    """Spherical joints between two nodes: record and lane of each, stiffness [N/m], each of shape (n_joint,)."""
+
+    cell_a: npt.NDArray[np.int64]
+    lane_a: npt.NDArray[np.int64]
+    cell_b: npt.NDArray[np.int64]
+    lane_b: npt.NDArray[np.int64]
+    stiffness: npt.NDArray[np.float64]
+
+
+class Loads(NamedTuple):
+    """Constant point forces: record and lane (n_load,), force [N] (n_load, 3) in the laboratory frame."""
+
+    cell: npt.NDArray[np.int64]
+    lane: npt.NDArray[np.int64]
+    force: npt.NDArray[np.float64]
+
+
+def compiled(function: Function) -> Function:
+    """Compile with the licence to reorder and fuse, but not to assume that NaN never occurs: divergence must show."""
+    options = {"nsz", "arcp", "contract", "afn", "reassoc"}
+    return cast(Function, njit(cache=True, error_model="numpy", fastmath=options)(function))
+
+
+# asin(sqrt(y)) / sqrt(y (1 - y)) = sum_k c_k y^k with c_0 = 1, c_k = c_(k-1) 2k / (2k + 1); with y = sin^2(angle / 2)
+# it is angle / sin(angle). Fifteen terms are exact to rounding for y < 0.09, an angle of 35 degrees.
+_ARC = tuple(float(np.prod([2.0 * k / (2.0 * k + 1.0) for k in range(1, n + 1)])) for n in range(15))
+_A0, _A1, _A2, _A3, _A4, _A5, _A6, _A7, _A8, _A9, _A10, _A11, _A12, _A13, _A14 = _ARC
+_LARGE_Y = 0.09
+# sin(t)/t and (1 - cos t)/t^2 as series in t^2: eight terms are exact to rounding for t^2 < 0.25.
+_LARGE_T2 = 0.25
+_LARGE_DECAY = 0.25
+
+
+@compiled
+def _stress(pair: Cells, tension: float | None, couples: float | None) -> None:
+    """Stretch and shear of element e: add its force to both nodes, set its torque (material frame)."""
+    here, there = pair[0], pair[1]
+    x0, x1, v0, v1, q, f0, f1 = here.x, there.x, here.v, there.v, here.q, here.force, there.force
+    rest, inv_rest, shear, stretch, sigma = here.rest, here.inv_rest, here.shear, here.stretch, here.rest_sigma
+    torque, length, dilatation, stretch_rate = here.torque, here.length, here.dilatation, here.stretch_rate
+    pull, rise, couple = here.tension, here.tension_rise, here.couple
+    for j in range(LANES):
+        dx, dy, dz = x1[0, j] - x0[0, j], x1[1, j] - x0[1, j], x1[2, j] - x0[2, j]
+        square = dx * dx + dy * dy + dz * dz
+        inverse = 1.0 / np.sqrt(square)
+        du, dv, dw = v1[0, j] - v0[0, j], v1[1, j] - v0[1, j], v1[2, j] - v0[2, j]
+        stretch_rate[j] = (du * dx + dv * dy + dw * dz) * inverse * inverse
+        length[j] = square * inverse
+        dilatation[j] = square * inverse * inv_rest[j]
+        inv_dil = rest[j] * inverse
+        a = (q[0, j] * dx + q[1, j] * dy + q[2, j] * dz) * inv_rest[j]
+        b = (q[3, j] * dx + q[4, j] * dy + q[5, j] * dz) * inv_rest[j]
+        c = (q[6, j] * dx + q[7, j] * dy + q[8, j] * dz) * inv_rest[j]
+        n0, n1 = shear[j] * (a - sigma[0, j]), shear[j] * (b - sigma[1, j])
+        n2 = stretch[j] * (c - 1.0 - sigma[2, j])
+        s0 = (q[0, j] * n0 + q[3, j] * n1 + q[6, j] * n2) * inv_dil
+        s1 = (q[1, j] * n0 + q[4, j] * n1 + q[7, j] * n2) * inv_dil
+        s2 = (q[2, j] * n0 + q[5, j] * n1 + q[8, j] * n2) * inv_dil
+        if tension is not None:
+            per_length = pull[j] * inverse
+            s0 += per_length * dx
+            s1 += per_length * dy
+            s2 += per_length * dz
+            pull[j] += rise[j]
+        f0[0, j] += s0
+        f0[1, j] += s1
+        f0[2, j] += s2
+        f1[0, j] -= s0
+        f1[1, j] -= s1
+        f1[2, j] -= s2
+        # (Q t) x n rest = (Q dx / rest) x n rest^2 / length
+        arm = rest[j] * inv_dil
+        m0, m1, m2 = (b * n2 - c * n1) * arm, (c * n0 - a * n2) * arm, (a * n1 - b * n0) * arm
+        if couples is not None:
+            m0 += couple[0, j]
+            m1 += couple[1, j]
+            m2 += couple[2, j]
+        torque[0, j], torque[1, j], torque[2, j] = m0, m1, m2
+
+
+@compiled
+def _couple(pair: Cells) -> None:
+    """Add the couple of bend and twist between elements e and e + 1 to the torque on either."""
+    here, there = pair[0], pair[1]
+    p, q, la, lb, half_angle = here.q, there.q, here.length, there.length, here.half_angle
+    n_large = 0
+    for j in range(LANES):
+        trace = (
+            q[0, j] * p[0, j] + q[1, j] * p[1, j] + q[2, j] * p[2, j]
+            + q[3, j] * p[3, j] + q[4, j] * p[4, j] + q[5, j] * p[5, j]
+            + q[6, j] * p[6, j] + q[7, j] * p[7, j] + q[8, j] * p[8, j]
+        )  # fmt: skip
+        y = 0.75 - 0.25 * trace
+        y2 = y * y
+        y4 = y2 * y2
+        low = (_A0 + _A1 * y) + y2 * (_A2 + _A3 * y) + y4 * ((_A4 + _A5 * y) + y2 * (_A6 + _A7 * y))
+        high = (_A8 + _A9 * y) + y2 * (_A10 + _A11 * y) + y4 * ((_A12 + _A13 * y) + y2 * _A14)
+        half_angle[j] = 0.5 * (low + y4 * y4 * high)
+        n_large += 1 if y > _LARGE_Y else 0
+    if n_large > 0:
+        _large_half_angle(pair)
+    rest, inv_rest, kappa = here.rest_voronoi, here.inv_rest_voronoi, here.rest_kappa
+    bend, twist = here.bend, here.twist
+    left, right = here.torque, there.torque
+    for j in range(LANES):
+        f = -half_angle[j] * inv_rest[j]
+        k0 = f * (
+            (q[6, j] * p[3, j] + q[7, j] * p[4, j] + q[8, j] * p[5, j])
+            - (q[3, j] * p[6, j] + q[4, j] * p[7, j] + q[5, j] * p[8, j])
+        )
+        k1 = f * (
+            (q[0, j] * p[6, j] + q[1, j] * p[7, j] + q[2, j] * p[8, j])
+            - (q[6, j] * p[0, j] + q[7, j] * p[1, j] + q[8, j] * p[2, j])
+        )
+        k2 = f * (
+            (q[3, j] * p[0, j] + q[4, j] * p[1, j] + q[5, j] * p[2, j])
+            - (q[0, j] * p[3, j] + q[1, j] * p[4, j] + q[2, j] * p[5, j])
+        )
+        t0, t1, t2 = bend[j] * (k0 - kappa[0, j]), bend[j] * (k1 - kappa[1, j]), twist[j] * (k2 - kappa[2, j])
+        dilatation = 0.5 * (la[j] + lb[j]) * inv_rest[j]
+        cube = 1.0 / (dilatation * dilatation * dilatation)
+        share = 0.5 * cube * rest[j]
+        u0, u1, u2 = (k1 * t2 - k2 * t1) * share, (k2 * t0 - k0 * t2) * share, (k0 * t1 - k1 * t0) * share
+        left[0, j] += u0 + t0 * cube
+        left[1, j] += u1 + t1 * cube
+        left[2, j] += u2 + t2 * cube
+        right[0, j] += u0 - t0 * cube
+        right[1, j] += u1 - t1 * cube
+        right[2, j] += u2 - t2 * cube
+
+
+@compiled
+def _large_half_angle(pair: Cells) -> None:
+    """Write angle / (2 sin(angle)) between elements e and e + 1 into half_angle where the series does not reach."""
+    here, there = pair[0], pair[1]
+    p, q, half_angle = here.q, there.q, here.half_angle
+    for j in range(LANES):
+        trace = 0.0
+        for i in range(9):
+            trace += q[i, j] * p[i, j]
+        y = 0.75 - 0.25 * trace
+        if y > _LARGE_Y:
+            y = min(y, 1.0 - 1e-15)
+            half_angle[j] = 0.5 * np.arcsin(np.sqrt(y)) / np.sqrt(y * (1.0 - y))
+
+
+@compiled
+def _move_node(here: Any, drift: float) -> None:
+    """Kick, damp and drift node n, and clear its force for the next step."""
+    x, v, force, kick, keep = here.x, here.v, here.force, here.kick, here.keep
+    for j in range(LANES):
+        u = (v[0, j] + force[0, j] * kick[j]) * keep[j]
+        v[0, j], x[0, j], force[0, j] = u, x[0, j] + drift * u, 0.0
+        u = (v[1, j] + force[1, j] * kick[j]) * keep[j]
+        v[1, j], x[1, j], force[1, j] = u, x[1, j] + drift * u, 0.0
+        u = (v[2, j] + force[2, j] * kick[j]) * keep[j]
+        v[2, j], x[2, j], force[2, j] = u, x[2, j] + drift * u, 0.0
+
+
+@compiled
+def _spin_element(here: Any, dt: float, spin_damping: float | None) -> None:
+    """Kick and damp the angular velocity of element e; J3 = 2 J1 turns J^-1 [(J w) x w] into (-w1 w2, w0 w2, 0)."""
+    w, torque, rate = here.w, here.torque, here.stretch_rate
+    dilatation, spin_kick, free = here.dilatation, here.spin_kick, here.free
+    for j in range(LANES):
+        w0, w1, w2 = w[0, j], w[1, j], w[2, j]
+        scale = dilatation[j] * spin_kick[j]
+        grow = 1.0 + dt * rate[j]
+        z0 = (w0 * grow - dt * w1 * w2 + torque[0, j] * scale) * free[j]
+        z1 = (w1 * grow + dt * w0 * w2 + torque[1, j] * scale) * free[j]
+        z2 = (w2 * grow + 0.5 * torque[2, j] * scale) * free[j]
+        w[0, j], w[1, j], w[2, j] = z0, z1, z2
+    if spin_damping is not None:
+        _damp_spin(here)
+
+
+@compiled
+def _damp_spin(here: Any) -> None:
+    """Scale the angular velocity by exp(-c dt / J dilatation), as PyElastica's AnalyticalLinearDamper does."""
+    w, dilatation, decay, spin_keep = here.w, here.dilatation, here.spin_decay, here.spin_keep
+    n_large = 0
+    for j in range(LANES):
+        y = decay[j] * dilatation[j]
+        spin_keep[j] = 1.0 - y * _exp_tail(y)
+        n_large += 1 if y > _LARGE_DECAY else 0
+    if n_large > 0:
+        for j in range(LANES):
+            spin_keep[j] = np.exp(-decay[j] * dilatation[j])
+    for j in range(LANES):
+        keep = spin_keep[j]
+        w[0, j] *= keep * keep
+        w[1, j] *= keep * keep
+        w[2, j] *= keep
+
+
+@compiled
+def _exp_tail(y: float) -> float:
+    """Series of (1 - exp(-y)) / y, exact to rounding for 0 <= y < _LARGE_DECAY."""
+    y2 = y * y
+    low = (1.0 - y / 2) + y2 * ((1 / 6 - y / 24) + y2 * (1 / 120 - y / 720))
+    high = (1 / 5040 - y / 40320) + y2 * ((1 / 362880 - y / 3628800) + y2 * (1 / 39916800 - y / 479001600))
+    return low + y2 * y2 * y2 * high
+
+
+@compiled
+def _rotate_element(here: Any, drift: float) -> None:
+    """Turn the directors of element e by its angular velocity over `drift` seconds."""
+    q, w = here.q, here.w
+    n_large = 0
+    for j in range(LANES):
+        a, b, c = drift * w[0, j], drift * w[1, j], drift * w[2, j]
+        n_large += 1 if a * a + b * b + c * c > _LARGE_T2 else 0
+    if n_large > 0:
+        _rotate_element_far(here, drift)
+        return
+    for j in range(LANES):
+        a, b, c = drift * w[0, j], drift * w[1, j], drift * w[2, j]
+        t2 = a * a + b * b + c * c
+        t4 = t2 * t2
+        s = (1.0 - t2 / 6) + t4 * ((1 / 120 - t2 / 5040) + t4 * ((1 / 362880 - t2 / 39916800) + t4 / 6227020800))
+        k = (0.5 - t2 / 24) + t4 * ((1 / 720 - t2 / 40320) + t4 * ((1 / 3628800 - t2 / 479001600) + t4 / 87178291200))
+        r00, r11, r22 = 1 - k * (b * b + c * c), 1 - k * (a * a + c * c), 1 - k * (a * a + b * b)
+        r01, r10 = s * c + k * a * b, -s * c + k * a * b
+        r02, r20 = -s * b + k * a * c, s * b + k * a * c
+        r12, r21 = s * a + k * b * c, -s * a + k * b * c
+        d0, d1, d2 = q[0, j], q[3, j], q[6, j]
+        q[0, j] = r00 * d0 + r01 * d1 + r02 * d2
+        q[3, j] = r10 * d0 + r11 * d1 + r12 * d2
+        q[6, j] = r20 * d0 + r21 * d1 + r22 * d2
+        d0, d1, d2 = q[1, j], q[4, j], q[7, j]
+        q[1, j] = r00 * d0 + r01 * d1 + r02 * d2
+        q[4, j] = r10 * d0 + r11 * d1 + r12 * d2
+        q[7, j] = r20 * d0 + r21 * d1 + r22 * d2
+        d0, d1, d2 = q[2, j], q[5, j], q[8, j]
+        q[2, j] = r00 * d0 + r01 * d1 + r02 * d2
+        q[5, j] = r10 * d0 + r11 * d1 + r12 * d2
+        q[8, j] = r20 * d0 + r21 * d1 + r22 * d2
+
+
+@compiled
+def _rotate_element_far(here: Any, drift: float) -> None:
+    """Rotate as `_rotate_element` by Rodrigues' formula, for angles beyond the reach of the series."""
+    q, w = here.q, here.w
+    for j in range(LANES):
+        a, b, c = drift * w[0, j], drift * w[1, j], drift * w[2, j]
+        t2 = a * a + b * b + c * c
+        t = np.sqrt(t2)
+        s = np.sin(t) / t if t > 0.0 else 1.0
+        k = 2.0 * np.sin(0.5 * t) ** 2 / t2 if t > 0.0 else 0.5
+        for i in range(3):
+            d0, d1, d2 = q[i, j], q[3 + i, j], q[6 + i, j]
+            q[i, j] = d0 - k * ((b * b + c * c) * d0 - a * b * d1 - a * c * d2) + s * (c * d1 - b * d2)
+            q[3 + i, j] = d1 - k * ((a * a + c * c) * d1 - a * b * d0 - b * c * d2) + s * (a * d2 - c * d0)
+            q[6 + i, j] = d2 - k * ((a * a + b * b) * d2 - a * c * d0 - b * c * d1) + s * (b * d0 - a * d1)
+
+
+@compiled
+def _half_drift(cells: Cells, block: npt.NDArray[np.int64], drift: float) -> None:
+    """Drift every node and element of every block by `drift` seconds."""
+    for b in range(block.shape[0]):
+        rods = cells[block[b, 0] : block[b, 1]]
+        n_elem = rods.shape[0] - 1
+        for n in range(n_elem + 1):
+            x, v = rods[n].x, rods[n].v
+            for i in range(3):
+                for j in range(LANES):
+                    x[i, j] += drift * v[i, j]
+        for e in range(n_elem):
+            _rotate_element(rods[e], drift)
+
+
+@compiled
+def _step_blocks(
+    cells: Cells,
+    block: npt.NDArray[np.int64],
+    dt: float,
+    drift: float,
+    tension: float | None,
+    couples: float | None,
+    spin_damping: float | None,
+) -> None:
+    """Advance every block by one kick and one drift in a single pass over its records.
+
+    A node is done once the stress on both its sides is known, an element once both its couples are: the pass works
+    two records behind its front, while they are still in the first-level cache.
+    """
+    for b in range(block.shape[0]):
+        rods = cells[block[b, 0] : block[b, 1]]
+        last = rods.shape[0] - 2
+        _stress(rods[0:2], tension, couples)
+        _move_node(rods[0], drift)
+        for e in range(last):
+            _stress(rods[e + 1 : e + 3], tension, couples)
+            _move_node(rods[e + 1], drift)
+            _couple(rods[e : e + 2])
+            _spin_element(rods[e], dt, spin_damping)
+            _rotate_element(rods[e], drift)
+        _move_node(rods[last + 1], drift)
+        _spin_element(rods[last], dt, spin_damping)
+        _rotate_element(rods[last], drift)
+
+
+@compiled
+def _apply_joints(cells: Cells, joints: Joints, damping: npt.NDArray[np.float64] | None) -> None:
+    """Add each joint's spring (and dashpot, where the scene has one) to the forces on its two nodes."""
+    for n in range(joints.cell_a.shape[0]):
+        a, b, la, lb = cells[joints.cell_a[n]], cells[joints.cell_b[n]], joints.lane_a[n], joints.lane_b[n]
+        for i in range(3):
+            force = joints.stiffness[n] * (b.x[i, lb] - a.x[i, la])
+            if damping is not None:
+                force += damping[n] * (b.v[i, lb] - a.v[i, la])
+            a.force[i, la] += force
+            b.force[i, lb] -= force
+
+
+@compiled
+def advance(
+    cells: Cells,
+    passive: npt.NDArray[np.int64],
+    active: npt.NDArray[np.int64],
+    joints: Joints,
+    joint_damping: npt.NDArray[np.float64] | None,
+    loads: Loads | None,
+    couples: float | None,
+    spin_damping: float | None,
+    n_steps: int,
+    dt: float,
+) -> None:
+    """Advance the assembly in place by n_steps of position Verlet.
+
+    `passive` and `active` (muscle) blocks are rows (first record, one past the last). What is None is compiled away.
+    """
+    _half_drift(cells, passive, 0.5 * dt)
+    _half_drift(cells, active, 0.5 * dt)
+    for step in range(n_steps):
+        drift = dt if step < n_steps - 1 else 0.5 * dt
+        _apply_joints(cells, joints, joint_damping)
+        if loads is not None:
+            for k in range(loads.cell.shape[0]):
+                for i in range(3):
+                    cells[loads.cell[k]].force[i, loads.lane[k]] += loads.force[k, i]
+        _step_blocks(cells, passive, dt, drift, None, couples, spin_damping)
+        _step_blocks(cells, active, dt, drift, 1.0, couples, spin_damping)
+
+
+@compiled
+def inspect(
+    cells: Cells,
+    cell: npt.NDArray[np.int64],
+    lane: npt.NDArray[np.int64],
+    min_dilatation: float,
+    max_dilatation: float,
+) -> tuple[int, int]:
+    """Status code (as `engines.Status`) and the first element at fault, or (0, -1); cell and lane of each element."""
+    for e in range(cell.shape[0]):
+        here, there, j = cells[cell[e]], cells[cell[e] + 1], lane[e]
+        square, along, sum_ = 0.0, 0.0, 0.0
+        for i in range(3):
+            side = there.x[i, j] - here.x[i, j]
+            square += side * side
+            along += here.q[6 + i, j] * side
+            sum_ += abs(here.v[i, j]) + abs(there.v[i, j]) + abs(here.w[i, j])
+        for i in range(9):
+            sum_ += abs(here.q[i, j])
+        if not np.isfinite(square + sum_):
+            return 1, e
+        dilatation = np.sqrt(square) * here.inv_rest[j]
+        if dilatation < min_dilatation or dilatation > max_dilatation:
+            return 2, e
+        if along <= 0.0:
+            return 3, e
+    return 0, -1

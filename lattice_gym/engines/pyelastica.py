@@ -1,0 +1,189 @@
+"""The reference engine: the model assembled from PyElastica's own rods, joints, constraints, damping and stepper.
+
+It calls none of the compiled laws of the fused engine; rest strains and curvatures are PyElastica's own, too.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import cast
+
+import numpy as np
+from elastica.boundary_conditions import FixedConstraint
+from elastica.dissipation import AnalyticalLinearDamper
+from elastica.external_forces import NoForces
+from elastica.joint import FreeJoint
+from elastica.modules.base_system import BaseSystemCollection
+from elastica.modules.connections import Connections
+from elastica.modules.constraints import Constraints
+from elastica.modules.damping import Damping
+from elastica.modules.forcing import Forcing
+from elastica.rod.cosserat_rod import CosseratRod
+from elastica.timestepper.symplectic_steppers import PositionVerlet
+
+from lattice_gym.design import FloatArray
+from lattice_gym.engines import MAX_DILATATION, MIN_DILATATION, Engine, Health, Status
+from lattice_gym.model import Rod, RodModel, RodState
+
+_START = np.float64(0.0)
+
+
+class _Assembly(BaseSystemCollection, Constraints, Connections, Forcing, Damping):
+    """Rods with everything a model may hold."""
+
+
+class _Contraction(NoForces[CosseratRod]):
+    """Tension along every element of a muscle: pulls its two nodes together.
+
+    `tension` [N] has shape (1,) and belongs to the engine, which writes it before each step.
+    """
+
+    def __init__(self, tension: FloatArray) -> None:
+        super().__init__()
+        self.tension = tension
+
+    def apply_forces(self, system: CosseratRod, time: np.float64 = _START) -> None:
+        pull = self.tension[0] * system.tangents
+        system.external_forces[:, :-1] += pull
+        system.external_forces[:, 1:] -= pull
+
+
+class _PointLoads(NoForces[CosseratRod]):
+    """Constant forces on nodes (laboratory frame) and torques on elements (material frame) of one rod."""
+
+    def __init__(self, forces: FloatArray, torques: FloatArray) -> None:
+        super().__init__()
+        self.forces = forces
+        self.torques = torques
+
+    def apply_forces(self, system: CosseratRod, time: np.float64 = _START) -> None:
+        system.external_forces += self.forces
+
+    def apply_torques(self, system: CosseratRod, time: np.float64 = _START) -> None:
+        system.external_torques += self.torques
+
+
+def _make_rod(rod: Rod) -> CosseratRod:
+    """Rod in PyElastica's arrays (components first), free of stress in its rest shape."""
+    made = CosseratRod.straight_rod(
+        rod.n_elem,
+        rod.position[0].copy(),
+        rod.directors[0, 2].copy(),
+        rod.directors[0, 0].copy(),
+        float(rod.rest_length.sum()),
+        cast(float, rod.radius.copy()),  # annotated as a number, taken as one per element
+        rod.density,
+        youngs_modulus=rod.youngs_modulus,
+        shear_modulus=rod.shear_modulus,
+        position=rod.position.T.copy(),
+        directors=np.moveaxis(rod.directors, 0, -1).copy(),
+    )
+    made.rest_sigma[:] = made.sigma
+    made.rest_kappa[:] = made.kappa
+    return made
+
+
+class PyElasticaEngine(Engine):
+    """PyElastica 1.0.0 behind the engine interface."""
+
+    def __init__(self, model: RodModel, dt: float) -> None:
+        super().__init__(model, dt)
+        self._rods = [_make_rod(rod) for rod in model.rods]
+        self._tension = np.zeros((model.n_muscle, 1))
+        self._stepper = PositionVerlet()
+        self._simulator = self._assemble()
+        self._time = 0.0
+
+    def _assemble(self) -> _Assembly:
+        model, rods, simulator = self.model, self._rods, _Assembly()
+        simulator.extend(rods)
+        for joint in model.joints:
+            simulator.connect(rods[joint.rod_a], rods[joint.rod_b], joint.node_a, joint.node_b).using(
+                FreeJoint, k=joint.stiffness, nu=joint.damping
+            )
+        for k, index in enumerate(model.muscles):
+            simulator.add_forcing_to(rods[index]).using(_Contraction, self._tension[k])
+        for index, (forces, torques) in self._point_loads().items():
+            simulator.add_forcing_to(rods[index]).using(_PointLoads, forces, torques)
+        nodes, elements = defaultdict(list), defaultdict(list)
+        for clamp in model.clamps:
+            if clamp.node is not None:
+                nodes[clamp.rod].append(clamp.node)
+            if clamp.element is not None:
+                elements[clamp.rod].append(clamp.element)
+        for index in sorted(nodes.keys() | elements.keys()):
+            simulator.constrain(rods[index]).using(
+                FixedConstraint,
+                constrained_position_idx=tuple(nodes[index]),
+                constrained_director_idx=tuple(elements[index]),
+            )
+        for rod, made in zip(model.rods, rods, strict=True):
+            if rod.damping > 0.0 or rod.rotational_damping > 0.0:
+                simulator.dampen(made).using(
+                    AnalyticalLinearDamper,
+                    translational_damping_constant=rod.damping,
+                    rotational_damping_constant=rod.rotational_damping,
+                    time_step=self.dt,
+                )
+        simulator.finalize()
+        return simulator
+
+    def _point_loads(self) -> dict[int, tuple[FloatArray, FloatArray]]:
+        loads: dict[int, tuple[FloatArray, FloatArray]] = {}
+        for index in {load.rod for load in self.model.forces} | {load.rod for load in self.model.torques}:
+            n_elem = self.model.rods[index].n_elem
+            loads[index] = np.zeros((3, n_elem + 1)), np.zeros((3, n_elem))
+        for force in self.model.forces:
+            loads[force.rod][0][:, force.node] += force.force
+        for torque in self.model.torques:
+            loads[torque.rod][1][:, torque.element] += torque.torque
+        return loads
+
+    @property
+    def state(self) -> RodState:
+        """A copy of the state."""
+        return RodState(
+            position=np.concatenate([rod.position_collection.T for rod in self._rods]),
+            velocity=np.concatenate([rod.velocity_collection.T for rod in self._rods]),
+            directors=np.concatenate([np.moveaxis(rod.director_collection, -1, 0) for rod in self._rods]),
+            omega=np.concatenate([rod.omega_collection.T for rod in self._rods]),
+            time=self._time,
+        )
+
+    def _restore(self, state: RodState) -> None:
+        for index, rod in enumerate(self._rods):
+            nodes, elements = self.model.nodes(index), self.model.elements(index)
+            rod.position_collection[:] = state.position[nodes].T
+            rod.velocity_collection[:] = state.velocity[nodes].T
+            rod.director_collection[:] = np.moveaxis(state.directors[elements], 0, -1)
+            rod.omega_collection[:] = state.omega[elements].T
+        self._time = state.time
+
+    def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:
+        # A state that blows up overflows on its way; the health check names it, numpy need not.
+        with np.errstate(all="ignore"):
+            for step in range(n_substeps):
+                self._tension[:, 0] = start + (end - start) * ((step + 0.5) / n_substeps)
+                self._stepper.step(self._simulator, self._time, self.dt)
+                self._time += self.dt
+        return self._health()
+
+    def _health(self) -> Health:
+        """Status of the first rod and element found at fault."""
+        for index, rod in enumerate(self._rods):
+            position, velocity, directors = rod.position_collection, rod.velocity_collection, rod.director_collection
+            side = np.diff(position, axis=1)
+            with np.errstate(all="ignore"):
+                finite = np.isfinite(side).all(0) & np.isfinite(np.diff(velocity, axis=1)).all(0)
+                finite &= np.isfinite(directors).all((0, 1)) & np.isfinite(rod.omega_collection).all(0)
+                dilatation = np.linalg.norm(side, axis=0) / rod.rest_lengths
+                stretched = (dilatation < MIN_DILATATION) | (dilatation > MAX_DILATATION)
+                inverted = np.sum(directors[2] * side, axis=0) <= 0.0
+            for status, wrong in (
+                (Status.NON_FINITE, ~finite),
+                (Status.OVERSTRETCHED, stretched),
+                (Status.INVERTED, inverted),
+            ):
+                if wrong.any():
+                    return Health(status, index, int(np.argmax(wrong)))
+        return Health()
