@@ -109,7 +109,7 @@ class LatticeDesign:
     joint_stiffness: float = _real(1e-6, 1e12, "N/m", 100.0)
     joint_damping: float = _real(0.0, 1e6, "N s/m", 0.0)
     damping: float = _real(0.0, 1e6, "N s/m per node", 0.03)
-    rotational_damping: float = _real(0.0, 1e6, "N m s per element", 0.0)
+    rotational_damping: float = _real(0.0, 1e6, "N m s per element", 3e-8)
     base: str = "clamped"
 
     def __post_init__(self) -> None:
@@ -264,7 +264,7 @@ class LatticeDesign:
         """Every rod's last node must be a crossing: turned by 4 pi height / T, the phases fall on themselves."""
         steps = 2 * self.phase_pattern.symmetry
         exact = steps / self.period_ratio
-        if exact < 1.0 - CLOSING_TOLERANCE or abs(exact - round(exact)) > CLOSING_TOLERANCE * exact:
+        if abs(exact - round(exact)) > CLOSING_TOLERANCE * exact:
             nearest = [Fraction(steps, count) for count in (math.floor(exact) + 1, math.floor(exact)) if count > 0]
             shown = " and ".join(f"{ratio} ({float(ratio)!r})" for ratio in nearest)
             raise self._error(

@@ -22,8 +22,8 @@ LAYOUTS = ("extension", "compression", "bending", "all")
 AZIMUTH_TOLERANCE = 1e-6
 
 # The bending layout: vertical muscles shorten the side the worm bends to, rings on the other side lengthen that one.
-BENDING_VERTICAL_HALF_WIDTH = math.radians(60.0)
-BENDING_HORIZONTAL_HALF_WIDTH = math.radians(75.0)
+BENDING_VERTICAL_HALF_WIDTH = math.radians(30.0)
+BENDING_HORIZONTAL_HALF_WIDTH = math.radians(60.0)
 
 
 def _index(name: str, value: object) -> int:
@@ -112,7 +112,9 @@ class MuscleLayout:
             _need_levels("levels", lattice)
             mask &= np.isin(lattice.site_level[sites].min(axis=1), _levels("levels", levels, lattice))
         if azimuth is not None:
-            centre, half_width = (_number("azimuth", value) for value in azimuth)
+            centre, half_width = (_number("azimuth", value) for value in _pair("azimuth", azimuth))
+            if half_width < 0.0:
+                raise ValueError(f"azimuth = {azimuth!r}: the half width must not be negative [rad]")
             apart = np.abs(wrap_angle(lattice.site_azimuth[sites] - centre))
             mask &= np.all(apart <= half_width + AZIMUTH_TOLERANCE, axis=1)
         return mask
@@ -178,11 +180,8 @@ def vertical(lattice: Lattice, span: int = 2) -> MuscleLayout:
 
 def tie(lattice: Lattice, pairs: Iterable[tuple[int, int]]) -> MuscleLayout:
     """Make custom muscles between pairs of sites."""
-    try:
-        muscles = tuple(Muscle("custom", start, end) for start, end in pairs)
-    except TypeError:
-        raise ValueError(f"pairs = {pairs!r}: must be pairs of site indices") from None
-    return resolve_layout(MuscleLayout(muscles), lattice)
+    muscles = (Muscle("custom", *_pair("pairs", pair)) for pair in _each("pairs", pairs))
+    return resolve_layout(MuscleLayout(tuple(muscles)), lattice)
 
 
 def bending_layout(lattice: Lattice, azimuth: float = 0.0) -> MuscleLayout:
@@ -271,14 +270,27 @@ def advance_activation(
     for name, values in (("activation", activation), ("command", command)):
         if not np.all(np.isfinite(values)):
             raise ValueError(f"{name} must be finite")
-    reached = np.where(command > activation, -math.expm1(-duration / rise_time), -math.expm1(-duration / decay_time))
-    return activation + reached * (command - activation)
+    left = np.where(command > activation, math.exp(-duration / rise_time), math.exp(-duration / decay_time))
+    # Written from the command, not the activation: so no rounding carries the result past the command.
+    return command + left * (activation - command)
 
 
 def _number(name: str, value: object) -> float:
     if isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value):
         return float(value)
     raise ValueError(f"{name} = {value!r}: must be a finite number [rad]")
+
+
+def _each(name: str, values: Iterable[Any]) -> Iterable[Any]:
+    if isinstance(values, Iterable) and not isinstance(values, str):
+        return values
+    raise ValueError(f"{name} = {values!r}: must be a sequence")
+
+
+def _pair(name: str, value: Sequence[Any]) -> tuple[Any, Any]:
+    if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) and len(value) == 2:
+        return value[0], value[1]
+    raise ValueError(f"{name}: {value!r} must be a pair")
 
 
 def _need_levels(name: str, lattice: Lattice) -> None:
@@ -288,7 +300,7 @@ def _need_levels(name: str, lattice: Lattice) -> None:
 
 def _levels(name: str, levels: Iterable[int], lattice: Lattice) -> list[int]:
     """Levels without repetition, each one of the lattice's."""
-    checked = list(dict.fromkeys(_index(name, level) for level in levels))
+    checked = list(dict.fromkeys(_index(name, level) for level in _each(name, levels)))
     for level in checked:
         if level >= lattice.n_level:
             raise ValueError(f"{name} holds {level}: the lattice has levels 0 to {lattice.n_level - 1}")
@@ -304,25 +316,20 @@ def _sites(muscles: Sequence[Muscle], lattice: Lattice) -> IntArray:
 
 
 def _partition(control: Sequence[int] | IntArray, n_muscle: int) -> IntArray:
-    try:
-        groups = [_index("control", group) for group in control]
-    except TypeError:
-        raise ValueError(
-            f"control = {control!r}: must be one of {', '.join(CONTROLS)} or a sequence of groups"
-        ) from None
+    groups = [_index("control", group) for group in _each("control", control)]
     if len(groups) != n_muscle:
         raise ValueError(f"control has {len(groups)} entries: must have one for each of the {n_muscle} active muscles")
-    unused = set(range(max(groups) + 1)) - set(groups)
+    used = sorted(set(groups))
+    unused = [expected for expected, group in enumerate(used) if expected != group]
     if unused:
-        raise ValueError(f"control: group {min(unused)} drives no muscle; groups must be 0 to n - 1, each used")
+        raise ValueError(f"control: group {unused[0]} drives no muscle; groups must be 0 to n - 1, each used")
     return np.array(groups, dtype=np.int64)
 
 
 def _columns(azimuth: FloatArray) -> IntArray:
     """Column of each muscle: those whose middles share an azimuth; azimuths of both ends [rad], shape (n, 2)."""
     start, end = azimuth.T
-    # The tolerance keeps the middle of two opposite ends on one side, whatever their rounding.
-    middle = (start + (wrap_angle(end - start - AZIMUTH_TOLERANCE) + AZIMUTH_TOLERANCE) / 2) % TURN
+    middle = (start + wrap_angle(end - start) / 2) % TURN
     order = np.argsort(middle, kind="stable")
     column = np.empty(len(middle), dtype=np.int64)
     column[order] = np.cumsum(np.diff(middle[order], prepend=middle[order[0]]) > AZIMUTH_TOLERANCE)

@@ -1,0 +1,22 @@
+"""What several test modules share: both engines, and one lattice model built once."""
+
+from __future__ import annotations
+
+import pytest
+
+from lattice_gym.design import LatticeDesign
+from lattice_gym.engines import EngineName
+from lattice_gym.lattice import Lattice, build_lattice
+
+
+@pytest.fixture(params=["fused", "pyelastica"])
+def engine_name(request: pytest.FixtureRequest) -> EngineName:
+    """Run the test on either engine."""
+    name: EngineName = request.param
+    return name
+
+
+@pytest.fixture(scope="session")
+def lattice() -> Lattice:
+    """Build the default lattice."""
+    return build_lattice(LatticeDesign())

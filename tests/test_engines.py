@@ -1,0 +1,246 @@
+"""The engines against each other, and what each promises: exact restart, honest status, refused input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from lattice_gym.design import FloatArray, LatticeDesign
+from lattice_gym.engines import EngineName, Status, make_engine
+from lattice_gym.lattice import Lattice, build_lattice
+from lattice_gym.model import (
+    Clamp,
+    Joint,
+    PointForce,
+    PointTorque,
+    RodModel,
+    RodState,
+    build_model,
+    default_dt,
+    rotation_between,
+    stable_dt,
+    straight_rod,
+)
+from lattice_gym.muscles import named_layout
+
+FIELDS = ("position", "velocity", "directors", "omega")
+
+
+def largest_difference(a: RodState, b: RodState, field: str) -> float:
+    """Largest absolute difference of a field of two states."""
+    difference: float = np.abs(getattr(a, field) - getattr(b, field)).max()
+    return difference
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"rotational_damping": 0.0},
+        {"rotational_damping": 1e-3, "damping": 3.0},
+        {"joint_damping": 0.01, "base": "free"},
+        {"n_pairs": 4, "period_ratio": 1.6, "elements_per_segment": 3, "elements_per_muscle": 3},
+    ],
+)
+def test_engines_agree(options: dict[str, Any]) -> None:
+    """Random activations: 1e-12 of the scale after one step, 1e-9 m after half a second."""
+    lattice = build_lattice(LatticeDesign(**options))
+    model = build_model(lattice, named_layout("all", lattice))
+    dt = default_dt(model, 0.05)
+    fused, reference = make_engine("fused", model, dt), make_engine("pyelastica", model, dt)
+    rng = np.random.default_rng(0)
+    pull = rng.uniform(0.0, 0.5, model.n_muscle)
+    assert fused.advance(pull, 1).ok
+    assert reference.advance(pull, 1).ok
+    a, b = fused.state, reference.state
+    assert largest_difference(a, b, "position") < 1e-12 * np.abs(b.position).max()
+    assert largest_difference(a, b, "velocity") < 1e-12 * np.abs(b.velocity).max()
+    for _ in range(5):
+        ramp = rng.uniform(0.0, 0.5, (2, model.n_muscle))
+        assert fused.advance(ramp, round(0.05 / dt)).ok
+        assert reference.advance(ramp, round(0.05 / dt)).ok
+    assert largest_difference(fused.state, reference.state, "position") < 1e-9
+    assert fused.state.time == pytest.approx(reference.state.time, rel=1e-12)
+
+
+def mixed_assembly() -> RodModel:
+    """Rods of four element counts with a muscle among them, joints with dashpots, clamps, a force and a torque."""
+    steel = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5, "damping": 0.5}
+    return RodModel(
+        rods=(
+            straight_rod((0, 0, 0), (0, 0, 1), 7, **steel),
+            straight_rod((0, 0, 1), (1, 0, 1), 4, **steel, rotational_damping=1e-3),
+            straight_rod((0, 0, 0), (1, 0, 1), 2, **steel),
+            straight_rod((1, 0, 1), (1, 1, 2), 4, **steel),
+        ),
+        joints=(Joint(0, 7, 1, 0, 1e4, 2.0), Joint(2, 0, 0, 0, 1e4), Joint(2, 2, 1, 4, 1e4), Joint(1, 4, 3, 0, 1e4)),
+        clamps=(Clamp(0, node=0, element=0), Clamp(3, node=4)),
+        forces=(PointForce(1, 2, (0.0, 50.0, 10.0)), PointForce(1, 2, (1.0, 0.0, 0.0))),
+        torques=(PointTorque(0, 6, (0.0, 1.0, 20.0)),),
+        muscles=(2,),
+    )
+
+
+def test_engines_agree_on_any_assembly() -> None:
+    """General rods: the same motion to rounding, clamps held exactly."""
+    model = mixed_assembly()
+    dt = 0.5 * stable_dt(model)
+    engines = [make_engine(name, model, dt) for name in ("fused", "pyelastica")]
+    for engine in engines:
+        assert engine.advance([[0.0], [100.0]], 400).ok
+    a, b = engines[0].state, engines[1].state
+    assert np.abs(b.position - model.rest_state().position).max() > 0.02
+    assert largest_difference(a, b, "position") < 1e-11
+    assert largest_difference(a, b, "directors") < 1e-9
+    for state in (a, b):
+        assert np.array_equal(state.position[0], model.rods[0].position[0])
+        assert np.array_equal(state.position[-1], model.rods[3].position[-1])
+        assert np.array_equal(state.directors[0], model.rods[0].directors[0])
+
+
+def spinning(omega: FloatArray) -> tuple[RodModel, RodState]:
+    """Make a free rod of two elements that both turn at `omega` [rad/s]."""
+    rod = straight_rod((0, 0, 0), (0, 0, 1), 2, radius=0.1, density=1e3, youngs_modulus=1e3, shear_modulus=1e3)
+    model = RodModel(rods=(rod,))
+    return model, replace(model.rest_state(), omega=np.tile(omega, (2, 1)))
+
+
+@pytest.mark.parametrize("angle", [0.1, 0.499, 0.501, 2.0, 3.1])
+def test_large_rotations_are_exact(engine_name: EngineName, angle: float) -> None:
+    """One step turns the directors by exactly |omega| dt, however large: on either side of the series' reach."""
+    dt = 1e-3
+    model, start = spinning(np.array([0.0, 0.0, angle / dt]))
+    engine = make_engine(engine_name, model, dt)
+    engine.restore(start)
+    engine.advance([], 1)
+    c, s = np.cos(angle), np.sin(angle)
+    turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ model.rods[0].directors[0]
+    assert np.abs(engine.state.directors[0] - turned).max() < 2e-15 * 4
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.3, 0.60, 0.62, 1.5, 3.0])
+def test_large_bends_agree(angle: float) -> None:
+    """The couple between two elements at any angle: on either side of the series' reach, as PyElastica has it."""
+    rod = straight_rod((0, 0, 0), (0, 0, 1), 2, radius=0.1, density=1e3, youngs_modulus=1e3, shear_modulus=1e3)
+    model = RodModel(rods=(rod,))
+    rest = model.rest_state()
+    directors = rest.directors.copy()
+    c, s = np.cos(angle), np.sin(angle)
+    directors[1] = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]) @ directors[1]
+    omega = []
+    for name in ("fused", "pyelastica"):
+        engine = make_engine(name, model, 1e-4)
+        engine.restore(replace(rest, directors=directors))
+        engine.advance([], 1)
+        omega.append(engine.state.omega)
+    assert np.abs(omega[0] - omega[1]).max() <= 1e-11 * max(np.abs(omega[1]).max(), 1e-3)
+    assert np.linalg.norm(rotation_between(directors[:1], directors[1:])) == pytest.approx(angle, abs=1e-14)
+
+
+def test_restart_is_exact(engine_name: EngineName, lattice: Lattice) -> None:
+    """A fresh engine that takes over a state goes on to the last bit; the state shares no memory with the engine."""
+    model = build_model(lattice, named_layout("all", lattice))
+    pull = np.random.default_rng(2).uniform(0.0, 0.5, model.n_muscle)
+    first = make_engine(engine_name, model, 2e-4)
+    first.advance(pull, 20)
+    saved = first.state
+    kept = saved.copy()
+    first.advance(pull, 20)
+    second = make_engine(engine_name, model, 2e-4)
+    second.advance(0.5 * pull, 7)
+    second.restore(saved)
+    second.advance(pull, 20)
+    for field in FIELDS:
+        assert np.array_equal(getattr(first.state, field), getattr(second.state, field)), field
+        assert np.array_equal(getattr(saved, field), getattr(kept, field)), field
+    assert first.state.time == second.state.time == pytest.approx(40 * 2e-4)
+
+
+def test_a_ramp_is_the_mean_of_its_ends(engine_name: EngineName, lattice: Lattice) -> None:
+    """Over one step a ramp acts as its middle; over several it differs from the held mean."""
+    model = build_model(lattice, named_layout("extension", lattice))
+    ones = np.ones(model.n_muscle)
+    positions = []
+    for tension, steps in (([0.1 * ones, 0.3 * ones], 1), (0.2 * ones, 1), ([0.1 * ones, 0.3 * ones], 2)):
+        engine = make_engine(engine_name, model, 2e-4)
+        engine.advance(tension, steps)
+        positions.append(engine.state.velocity)
+    assert np.abs(positions[0] - positions[1]).max() < 1e-15
+    assert np.abs(positions[0] - positions[2]).max() > 1e-6
+
+
+def test_divergence_has_a_status_and_a_place(engine_name: EngineName, lattice: Lattice) -> None:
+    """A step far beyond the stable one ends in a named failure, not in an exception or silence."""
+    model = build_model(lattice, named_layout("all", lattice))
+    engine = make_engine(engine_name, model, 2.0 * stable_dt(model))
+    health = engine.advance(np.full(model.n_muscle, 0.5), 60)
+    assert not health.ok
+    assert 0 <= health.rod < model.n_rod
+    assert 0 <= health.element < model.rods[health.rod].n_elem
+    assert "rod" in str(health)
+
+
+@pytest.mark.parametrize(
+    ("change", "status"),
+    [
+        ({"position": (0, (0.0, 0.0, -40.0))}, Status.OVERSTRETCHED),
+        ({"position": (0, (0.0, 0.0, 0.95))}, Status.INVERTED),
+        ({"velocity": (0, (0.0, 0.0, 1e200))}, Status.NON_FINITE),
+    ],
+)
+def test_each_failure_is_named(
+    engine_name: EngineName, change: dict[str, tuple[int, tuple[float, float, float]]], status: Status
+) -> None:
+    """Over-stretched, inverted and non-finite elements are told apart, at the rod and element where they are."""
+    rods = tuple(
+        straight_rod((x, 0, 0), (x, 0, 1), 2, radius=0.1, density=1e3, youngs_modulus=1e-3, shear_modulus=1e-3)
+        for x in (0.0, 1.0)
+    )
+    model = RodModel(rods=rods)
+    state = model.rest_state()
+    for field, (node, value) in change.items():
+        array = getattr(state, field).copy()
+        array[3 + node] += value
+        state = replace(state, **{field: array})
+    engine = make_engine(engine_name, model, 1e-6)
+    engine.restore(state)
+    health = engine.advance([], 1)
+    assert (health.status, health.rod, health.element) == (status, 1, 0)
+
+
+def test_refused_input(engine_name: EngineName, lattice: Lattice) -> None:
+    """Each wrong argument gives one ValueError that names it."""
+    model = build_model(lattice, named_layout("extension", lattice))
+    for dt in (0.0, -1e-4, np.nan, np.inf):
+        with pytest.raises(ValueError, match="dt = "):
+            make_engine(engine_name, model, dt)
+    engine = make_engine(engine_name, model, 1e-4)
+    good = np.zeros(model.n_muscle)
+    for tension in (good[1:], np.zeros((3, model.n_muscle)), good - 1.0, good * np.nan, good + np.inf, 0.5):
+        with pytest.raises(ValueError, match="tension"):
+            engine.advance(tension, 1)
+    for steps in (0, -3):
+        with pytest.raises(ValueError, match="n_substeps"):
+            engine.advance(good, steps)
+    state = engine.state
+    bad_states: dict[str, Any] = {
+        "position": state.position[1:],
+        "velocity": state.velocity * np.nan,
+        "omega": np.zeros((3, 3)),
+        "directors": np.roll(state.directors, 1, axis=1),
+    }
+    for name, array in bad_states.items():
+        with pytest.raises(ValueError, match=f"RodState.{name}"):
+            engine.restore(replace(state, **{name: array}))
+    with pytest.raises(ValueError, match="must stay at rest"):
+        engine.restore(replace(state, position=state.position + 1e-3))
+
+
+def test_unknown_engine(lattice: Lattice) -> None:
+    """The error names the choices."""
+    model, name = build_model(lattice, named_layout("extension", lattice)), cast(EngineName, "warp")
+    with pytest.raises(ValueError, match="fused, pyelastica"):
+        make_engine(name, model, 1e-4)
