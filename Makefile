@@ -20,8 +20,8 @@ test: $(STAMP)
 clean:
 	rm -rf .venv
 
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): pyproject.toml .ci/constraints.txt
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("lattice_gym needs Python 3.11 or newer, this is " + sys.version.split()[0] + ": make PYTHON=python3.11 ...")'
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install -c constraints.txt -e '.[train,video,dev]'
+	$(BIN)/python -m pip install -c .ci/constraints.txt -e '.[train,video,dev]'
 	touch $@

@@ -451,9 +451,9 @@ def _lattice_joints(lattice: Lattice, layout: MuscleLayout) -> Iterator[Joint]:
 def stable_dt(model: RodModel) -> float:
     """Predict the largest stable position-Verlet step near rest [s].
 
-    The highest squared frequency is bounded by that of a rod alone plus that of the joints alone, whose graph of springs
-    and masses has no eigenvalue above the largest sum, over a joint, of stiffness over mass at its two ends (Anderson
-    and Morley 1985). A dashpot acts on the velocity of the step before and takes its share likewise.
+    The highest squared frequency is bounded by that of a rod alone plus that of the joints alone, whose graph of
+    springs and masses has no eigenvalue above the largest sum, over a joint, of stiffness over mass at its two ends
+    (Anderson and Morley 1985). A dashpot acts on the velocity of the step before and takes its share likewise.
     """
     rod_square = max(_rod_bound(rod) for rod in model.rods)
     spring, dashpot = _joint_bound(model, "stiffness"), _joint_bound(model, "damping")
@@ -465,8 +465,8 @@ def stable_dt(model: RodModel) -> float:
 def _rod_bound(rod: Rod) -> float:
     """Largest squared frequency of a straight rod alone [1/s^2].
 
-    In the fastest motion neighbouring nodes move, and neighbouring elements turn, in opposite senses: a 2 x 2 problem of
-    deflection (shear alone) and turning (shear and bending), which is never below stretch alone.
+    In the fastest motion neighbouring nodes move, and neighbouring elements turn, in opposite senses: a 2 x 2 problem
+    of deflection (shear alone) and turning (shear and bending), which is never below stretch alone.
     """
     bend = rod.youngs_modulus / rod.rest_length**2
     deflect = SHEAR_CORRECTION * rod.shear_modulus / rod.rest_length**2

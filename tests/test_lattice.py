@@ -82,7 +82,7 @@ def _check(lattice: Lattice) -> None:
     length = np.linalg.norm(np.diff(lattice.position, axis=1), axis=2).reshape(design.n_rod, design.n_segment, count)
     np.testing.assert_allclose(length, np.broadcast_to(length[:, :, :1], length.shape), rtol=1e-6)
 
-    # Directors: right-handed triads along the elements, d1 pointing away from the axis.
+    # Directors: right-handed triads along the elements, d1 pointing straight away from the axis.
     identity = np.broadcast_to(np.eye(3), (*lattice.directors.shape[:2], 3, 3))
     np.testing.assert_allclose(lattice.directors @ np.swapaxes(lattice.directors, 2, 3), identity, atol=1e-14)
     np.testing.assert_allclose(np.linalg.det(lattice.directors), 1.0, atol=1e-14)
@@ -90,7 +90,10 @@ def _check(lattice: Lattice) -> None:
     chord /= np.linalg.norm(chord, axis=2, keepdims=True)
     np.testing.assert_allclose(lattice.directors[:, :, 2], chord, atol=1e-14)
     middle = (lattice.position[:, 1:] + lattice.position[:, :-1]) / 2
-    assert np.all(np.sum(middle[:, :, :2] * lattice.directors[:, :, 0, :2], axis=2) > 0.0)
+    outward = np.append(
+        middle[:, :, :2] / np.linalg.norm(middle[:, :, :2], axis=2, keepdims=True), 0 * z[:, 1:, None], 2
+    )
+    np.testing.assert_allclose(lattice.directors[:, :, 0], outward, atol=1e-7)
 
     # Sites are sorted, and levels are what they say.
     azimuth = np.arctan2(lattice.site_position[:, 1], lattice.site_position[:, 0])
