@@ -1,0 +1,36 @@
+"""The compiled code itself: no index leaves its array, which optimised code would not tell."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+
+def test_no_index_leaves_its_array(tmp_path: Path) -> None:
+    """The general assembly and the lattice run with numba's bounds checks on, and still agree with PyElastica."""
+    checks = ["test_engines_agree_on_any_assembly", "test_each_failure_is_named", "test_large_rotations_are_exact"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+        "tests/test_engines.py",
+    ]
+    # A cache of its own: code with bounds checks must not be taken for the fast code, nor the other way round.
+    environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(
+        [*command, "-k", " or ".join(checks)],
+        env=environment,
+        cwd=Path(__file__).parent.parent,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
