@@ -1,0 +1,246 @@
+"""Named quantities of a state: what a motion came to, read from node positions alone.
+
+Everywhere `position` is the concatenated array of all nodes [m], shape (n_node, 3), structure rods first, and is never
+written to. Heights and azimuths are those of the rest shape, so they name material points, not places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lattice_gym.design import FloatArray, IntArray
+from lattice_gym.lattice import Lattice
+from lattice_gym.model import RodModel
+
+LEAST_BEND = 1e-9
+"""A top that leans by less is upright [rad]: rounding has a direction too."""
+LEAST_MOTION = 1e-6
+"""Motion below this share of the largest radius counts as none."""
+LEAST_SHARE = 0.02
+"""Levels that move less than this share of the level that moves most are left out of a travelling wave."""
+STANDING = 0.05
+"""A wave of a lower index goes nowhere: it has no direction and no speed."""
+
+
+def site_nodes(lattice: Lattice) -> IntArray:
+    """Rows of the concatenated node array that meet at each site, shape (n_site, 2)."""
+    return lattice.site_rod * lattice.n_node + lattice.site_node
+
+
+def site_positions(lattice: Lattice, position: FloatArray) -> FloatArray:
+    """Place of every site [m], shape (n_site, 3): the mean of the two nodes that meet there."""
+    nodes = site_nodes(lattice)
+    mean: FloatArray = 0.5 * (position[nodes[:, 0]] + position[nodes[:, 1]])
+    return mean
+
+
+def strain(lattice: Lattice, position: FloatArray) -> float:
+    """Mean rise of the structure rods' top nodes over the rest height (Schaffer et al. 2024): positive is longer.
+
+    The rise is taken from the rods' lowest nodes, so that a free body does not stretch by moving away.
+    """
+    height = position[: lattice.n_rod * lattice.n_node, 2].reshape(lattice.n_rod, lattice.n_node)
+    rest = lattice.position[:, :, 2]
+    rise = (height[:, -1] - height[:, 0]) - (rest[:, -1] - rest[:, 0])
+    return float(rise.mean()) / lattice.design.height
+
+
+def top_sites(lattice: Lattice) -> IntArray:
+    """Sites of the top ring in order of azimuth. Fewer than three span no plane: ValueError."""
+    height = lattice.site_position[:, 2]
+    top = np.flatnonzero(height > lattice.design.height * (1.0 - 1e-9))
+    if top.size < 3:
+        raise ValueError(
+            f"lattice: {top.size} sites at the top span no plane, so nothing can be said of bending; at least 3 are "
+            f"needed (LatticeDesign.n_pairs is {lattice.design.n_pairs})"
+        )
+    return top[np.argsort(lattice.site_azimuth[top])]
+
+
+def top_normal(lattice: Lattice, position: FloatArray) -> FloatArray:
+    """Return the unit normal of the top ring, shape (3,): the direction of the area vector of its sites."""
+    return _normal(site_positions(lattice, position)[top_sites(lattice)])
+
+
+def _normal(ring: FloatArray) -> FloatArray:
+    spoke = ring - ring.mean(axis=0)
+    area = np.cross(spoke, np.roll(spoke, -1, axis=0)).sum(axis=0)
+    size = float(np.linalg.norm(area))
+    if not size > 0.0:
+        raise ValueError(f"position: the top ring must enclose an area, got area vector {area.tolist()}")
+    unit: FloatArray = area / size
+    return unit
+
+
+def bend_vector(lattice: Lattice, position: FloatArray) -> FloatArray:
+    """Bend angle [rad] times the horizontal unit vector the top leans towards, shape (2,); zero where it is upright.
+
+    The angle is between the normals of the top ring now and at rest, and rest normals are vertical.
+    """
+    normal = top_normal(lattice, position)
+    horizontal = float(np.hypot(normal[0], normal[1]))
+    if horizontal < LEAST_BEND:
+        return np.array([0.0 if normal[2] > 0.0 else np.pi, 0.0])
+    lean: FloatArray = normal[:2] * (np.arctan2(horizontal, normal[2]) / horizontal)
+    return lean
+
+
+def bend_angle(lattice: Lattice, position: FloatArray) -> float:
+    """Angle between the normals of the top ring now and at rest [rad], in [0, pi] (Schaffer et al. 2024)."""
+    return float(np.hypot(*bend_vector(lattice, position)))
+
+
+def bend_direction(lattice: Lattice, position: FloatArray) -> float:
+    """Azimuth that the top leans towards [rad], in [0, 2 pi); 0 where it stands upright."""
+    lean = bend_vector(lattice, position)
+    return azimuth_of(lean)
+
+
+def azimuth_of(vector: FloatArray) -> float:
+    """Azimuth of a horizontal vector [rad], in [0, 2 pi)."""
+    azimuth = float(np.arctan2(vector[1], vector[0])) % (2.0 * np.pi)
+    return azimuth if azimuth < 2.0 * np.pi else 0.0
+
+
+def ring_radii(lattice: Lattice, position: FloatArray) -> FloatArray:
+    """Mean distance of each level's sites to their centroid [m], shape (n_level,). No common levels: ValueError."""
+    level = lattice.site_level
+    if lattice.n_level == 0 or level.min() < 0:
+        raise ValueError("lattice: its sites share no common levels (uneven phases), so it has no ring radii")
+    site = site_positions(lattice, position)
+    count = np.bincount(level, minlength=lattice.n_level)
+    centre = np.stack([np.bincount(level, site[:, i], lattice.n_level) for i in range(3)], axis=1) / count[:, None]
+    radii: FloatArray = np.bincount(level, np.linalg.norm(site - centre[level], axis=1), lattice.n_level) / count
+    return radii
+
+
+@dataclass(frozen=True)
+class TravellingWave:
+    """How far motion along the body travels, and where to; unpacks as index, direction, speed."""
+
+    index: float
+    """1 = pure travelling wave, 0 = standing wave or no motion."""
+    direction: int
+    """+1 up (away from the base), -1 down, 0 where nothing travels."""
+    speed: float
+    """Phase speed along the rest height [m/s], never negative; 0 where nothing travels."""
+
+    def __iter__(self) -> Iterator[float]:
+        """Yield index, direction and speed."""
+        return iter((self.index, self.direction, self.speed))
+
+
+def travelling_wave(radii: FloatArray, dt: float, level_height: FloatArray) -> TravellingWave:
+    """Travelling part of the ring radii, by complex orthogonal decomposition (Feeny 2008, J. Sound Vib. 310:77-90).
+
+    Each level's radius, less its mean over time, becomes an analytic signal; u is the dominant complex mode over the
+    levels. The index is the reciprocal condition number of [Re u, Im u]. Speed and direction come from straight lines
+    through the unwrapped phases over time and height, so levels must lie closer than half a wavelength.
+
+    The index of a pure wave is 1 where the levels span a whole number of half wavelengths, and somewhat lower elsewhere
+    (0.84 where 8 levels span 1/1.2 of a wavelength). Record whole periods: a broken one smears the frequency.
+
+    Parameters
+    ----------
+    radii
+        Ring radii or deviations over time [m], shape (n_time, n_level), n_time >= 4.
+    dt
+        Time between rows [s].
+    level_height
+        Rest heights of the levels [m], rising, shape (n_level,).
+
+    """
+    radii, level_height = np.asarray(radii, dtype=np.float64), np.asarray(level_height, dtype=np.float64)
+    _check_recording(radii, dt, level_height)
+    motion = radii - radii.mean(axis=0)
+    size = np.sqrt(np.mean(motion**2, axis=0))
+    moving = size > max(LEAST_SHARE * float(size.max()), LEAST_MOTION * float(np.abs(radii).max()))
+    if np.count_nonzero(moving) < 2:
+        return TravellingWave(0.0, 0, 0.0)
+    signal = _analytic(motion[:, moving]).T
+    modes, _, _ = np.linalg.svd(signal, full_matrices=False)
+    mode: npt.NDArray[np.complex128] = modes[:, 0]
+    spread = np.linalg.svd(np.stack([mode.real, mode.imag], axis=1), compute_uv=False)
+    index = float(spread[1] / spread[0])
+    course: npt.NDArray[np.complex128] = mode.conj() @ signal
+    frequency = _phase_slope(course, dt * np.arange(len(course), dtype=np.float64))
+    wavenumber = -_phase_slope(mode, level_height[moving])
+    if index < STANDING or wavenumber == 0.0 or frequency == 0.0:
+        return TravellingWave(index, 0, 0.0)
+    velocity = frequency / wavenumber
+    return TravellingWave(index, 1 if velocity > 0.0 else -1, abs(velocity))
+
+
+def _check_recording(radii: FloatArray, dt: float, level_height: FloatArray) -> None:
+    if radii.ndim != 2 or radii.shape[0] < 4 or radii.shape[1] < 1 or not np.isfinite(radii).all():
+        raise ValueError(f"radii: must be finite, of shape (n_time >= 4, n_level), got shape {radii.shape}")
+    if not (np.isfinite(dt) and dt > 0.0):
+        raise ValueError(f"dt: must be a positive time [s], got {dt}")
+    if (
+        level_height.shape != radii.shape[1:]
+        or not np.isfinite(level_height).all()
+        or (np.diff(level_height) <= 0).any()
+    ):
+        raise ValueError(
+            f"level_height: must be {radii.shape[1]} finite, rising heights [m], one a column of radii, "
+            f"got {level_height.tolist()}"
+        )
+
+
+def _analytic(signal: FloatArray) -> npt.NDArray[np.complex128]:
+    """Analytic signal of every column: negative frequencies dropped, positive ones doubled (Hilbert transform)."""
+    n = len(signal)
+    gain = np.zeros(n)
+    gain[0] = 1.0
+    gain[1 : (n + 1) // 2] = 2.0
+    if n % 2 == 0:
+        gain[n // 2] = 1.0
+    return np.asarray(np.fft.ifft(np.fft.fft(signal, axis=0) * gain[:, None], axis=0), dtype=np.complex128)
+
+
+def _phase_slope(values: npt.NDArray[np.complex128], at: FloatArray) -> float:
+    """Slope of the unwrapped phase over `at` [rad per unit], each value weighted with its power."""
+    phase, weight = np.unwrap(np.angle(values)), np.abs(values) ** 2
+    weight /= weight.sum()
+    offset = at - weight @ at
+    return float((weight * offset) @ phase / ((weight * offset) @ offset))
+
+
+def joint_gap(model: RodModel, position: FloatArray) -> float:
+    """Largest distance between two nodes that a joint holds together [m]; 0 without joints."""
+    offset = model.node_offset
+    ends = [(offset[joint.rod_a] + joint.node_a, offset[joint.rod_b] + joint.node_b) for joint in model.joints]
+    return max((float(np.linalg.norm(position[a] - position[b])) for a, b in ends), default=0.0)
+
+
+def dilatation(model: RodModel, position: FloatArray) -> FloatArray:
+    """Length of every element over its rest length, shape (n_elem,)."""
+    rest = np.concatenate([rod.rest_length for rod in model.rods])
+    lower = np.delete(np.arange(model.n_node), model.node_offset[1:] - 1)
+    ratio: FloatArray = np.linalg.norm(position[lower + 1] - position[lower], axis=1) / rest
+    return ratio
+
+
+def straightness(lattice: Lattice, model: RodModel, position: FloatArray) -> float:
+    """Chord over length of the most crooked stretch of rod, relative to rest: 1 = as at rest, less = buckled.
+
+    A stretch is a structure rod from one crossing to the next, or a whole muscle.
+    """
+    worst = np.inf
+    for index, rod in enumerate(model.rods):
+        step = lattice.design.elements_per_segment if index < lattice.n_rod else rod.n_elem
+        now, rest = (_chord_share(nodes, step) for nodes in (position[model.nodes(index)], rod.position))
+        worst = min(worst, float((now / rest).min()))
+    return worst
+
+
+def _chord_share(nodes: FloatArray, step: int) -> FloatArray:
+    """Chord over length of each stretch of `step` elements, shape (n_elem / step,)."""
+    length = np.linalg.norm(np.diff(nodes, axis=0), axis=1).reshape(-1, step).sum(axis=1)
+    chord = np.linalg.norm(np.diff(nodes[::step], axis=0), axis=1)
+    share: FloatArray = chord / length
+    return share

@@ -1,0 +1,216 @@
+"""What a worm did over one episode, and the file that keeps it."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import secrets
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lattice_gym.design import FloatArray, LatticeDesign
+from lattice_gym.lattice import build_lattice
+from lattice_gym.muscles import MuscleLayout, resolve_layout
+
+FORMAT = "lattice_gym trajectory"
+VERSION = 1
+ARRAYS = {"time": np.float64, "position": np.float32, "activation": np.float32, "reward": np.float64}
+META = ("format", "version", "task", "outcome", "design", "layout")
+
+# Activations may leave [0, 1] by no more than rounding to float32.
+ACTIVATION_TOLERANCE = 1e-6
+
+
+def n_nodes(design: LatticeDesign, layout: MuscleLayout) -> int:
+    """Nodes of the structure rods and of the active muscles together."""
+    per_rod = design.n_segment * design.elements_per_segment + 1
+    return design.n_rod * per_rod + len(layout) * (design.elements_per_muscle + 1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory:
+    """Recorded frames of one episode; the arrays are read-only copies.
+
+    The design and the layout say which nodes form which rod: structure rods first, then the active muscles in order.
+    Wrong shapes, non-finite numbers, times that do not increase and activations outside [0, 1] are a ValueError.
+    """
+
+    time: FloatArray
+    """Times of the frames [s], increasing, shape (n_frame,)."""
+    position: npt.NDArray[np.float32]
+    """Node positions [m], shape (n_frame, n_node, 3)."""
+    activation: npt.NDArray[np.float32]
+    """Activations of the active muscles, in [0, 1], shape (n_frame, n_muscle)."""
+    reward: FloatArray
+    """Reward of the control step that ended at each frame, shape (n_frame,)."""
+    outcome: tuple[str, ...]
+    """One line per frame to print in its picture; may be empty."""
+    design: LatticeDesign
+    layout: MuscleLayout
+    task: str
+
+    def __post_init__(self) -> None:
+        """Check everything against everything else."""
+        resolve_layout(self.layout, build_lattice(self.design))
+        n_frame, n_muscle = np.size(self.time), len(self.layout)
+        shapes = {
+            "time": (n_frame,),
+            "position": (n_frame, n_nodes(self.design, self.layout), 3),
+            "activation": (n_frame, n_muscle),
+            "reward": (n_frame,),
+        }
+        if n_frame == 0:
+            raise ValueError("Trajectory.time is empty: must hold at least one frame")
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, _checked(name, getattr(self, name), shape))
+        back = np.flatnonzero(np.diff(self.time) <= 0.0)
+        if back.size:
+            raise ValueError(f"Trajectory.time: must increase; frame {back[0] + 1} is not later than frame {back[0]}")
+        if n_muscle and np.max(np.abs(self.activation - 0.5)) > 0.5 + ACTIVATION_TOLERANCE:
+            low, high = self.activation.min(), self.activation.max()
+            raise ValueError(f"Trajectory.activation spans {low:g} to {high:g}: must lie in [0, 1]")
+        object.__setattr__(self, "outcome", tuple(self.outcome))
+        if len(self.outcome) != n_frame:
+            raise ValueError(f"Trajectory.outcome has {len(self.outcome)} lines: must have one a frame, {n_frame}")
+        for name, text in (("task", self.task), *(("outcome", line) for line in self.outcome)):
+            if not isinstance(text, str):
+                raise ValueError(f"Trajectory.{name} holds {text!r}: must be text")
+
+    @property
+    def n_frame(self) -> int:
+        """Number of frames."""
+        return len(self.time)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write an .npz file that numpy reads without pickle; replaces a file of that name once it is complete."""
+        meta = {
+            "format": FORMAT,
+            "version": VERSION,
+            "task": self.task,
+            "outcome": list(self.outcome),
+            "design": self.design.to_json(),
+            "layout": json.dumps(self.layout.to_dict()),
+        }
+        arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in ARRAYS}
+        with replacing(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, meta=np.array(json.dumps(meta)), **arrays)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Trajectory:
+        """Read a saved trajectory; a file that is damaged, foreign or at odds with itself is a ValueError naming it."""
+        content = Path(path).read_bytes()
+        try:
+            # Members are unpacked whole, so that their checksums are compared before a byte of them is interpreted.
+            with zipfile.ZipFile(io.BytesIO(content)) as archive:
+                packed = {name: archive.read(name) for name in archive.namelist()}
+        except Exception as error:  # Damage surfaces as any of a dozen exceptions of zipfile and its decompressors.
+            raise ValueError(f"{path}: damaged, or not an .npz file: {error}") from error
+        try:
+            return cls(**_unpacked(packed))
+        except (ValueError, MemoryError, RecursionError) as error:
+            raise ValueError(f"{path}: not a sound {FORMAT}: {error}") from error
+
+
+class Recorder:
+    """Collects frames, then builds the trajectory."""
+
+    def __init__(self, design: LatticeDesign, layout: MuscleLayout, task: str) -> None:
+        self._design, self._layout, self._task = design, layout, task
+        self._shapes = {"position": (n_nodes(design, layout), 3), "activation": (len(layout),)}
+        self._frames: list[tuple[float, npt.NDArray[np.float32], npt.NDArray[np.float32], float, str]] = []
+
+    def __len__(self) -> int:
+        """Return the number of frames so far."""
+        return len(self._frames)
+
+    def append(
+        self, time: float, position: npt.ArrayLike, activation: npt.ArrayLike, reward: float = 0.0, outcome: str = ""
+    ) -> None:
+        """Copy a frame: time [s], positions (n_node, 3) [m], activations (n_muscle,), reward, line for the picture."""
+        x = _checked("position", position, self._shapes["position"])
+        a = _checked("activation", activation, self._shapes["activation"])
+        self._frames.append((float(time), x, a, float(reward), outcome))
+
+    def build(self) -> Trajectory:
+        """Trajectory of the frames so far; there must be one."""
+        if not self._frames:
+            raise ValueError("Recorder holds no frame: append at least one before build()")
+        time, position, activation, reward, outcome = zip(*self._frames, strict=True)
+        return Trajectory(
+            time=np.array(time),
+            position=np.stack(position),
+            activation=np.stack(activation),
+            reward=np.array(reward),
+            outcome=outcome,
+            design=self._design,
+            layout=self._layout,
+            task=self._task,
+        )
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a temporary path of the same folder and suffix, renamed to path at the end or deleted on an exception."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f".{target.stem}-{secrets.token_hex(4)}{target.suffix}")
+    try:
+        yield temporary
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _checked(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    """Read-only copy of values as the dtype of a trajectory's array, which must have the shape and be finite."""
+    try:
+        with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite and is refused below.
+            array = np.array(values, dtype=ARRAYS[name])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"Trajectory.{name}: must be an array of numbers: {error}") from None
+    if array.shape != shape:
+        raise ValueError(f"Trajectory.{name} has shape {array.shape}: must have {shape}")
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"Trajectory.{name}: must be finite")
+    array.setflags(write=False)
+    return array
+
+
+def _array(data: bytes) -> npt.NDArray[Any]:
+    return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+
+
+def _unpacked(packed: dict[str, bytes]) -> dict[str, Any]:
+    """Arguments of Trajectory from the members of its file."""
+    expected = {f"{name}.npy" for name in ("meta", *ARRAYS)}
+    if set(packed) != expected:
+        raise ValueError(f"it holds {', '.join(sorted(packed)) or 'nothing'}; must hold {', '.join(sorted(expected))}")
+    members = {name.removesuffix(".npy"): _array(data) for name, data in packed.items()}
+    for name in ARRAYS:
+        if members[name].dtype.kind != "f":
+            raise ValueError(f"{name} holds {members[name].dtype}: must hold floating-point numbers")
+    text = members.pop("meta")
+    if text.shape != () or text.dtype.kind != "U":
+        raise ValueError(f"meta is an array of {text.dtype} with shape {text.shape}: must be one text")
+    meta = json.loads(text.item())
+    if not isinstance(meta, dict) or set(meta) != set(META):
+        raise ValueError(f"meta must be a mapping of {', '.join(META)}")
+    if meta["format"] != FORMAT or meta["version"] != VERSION:
+        raise ValueError(f"it is {meta['format']!r} version {meta['version']!r}; must be version {VERSION}")
+    if not isinstance(meta["outcome"], list) or not isinstance(meta["layout"], str):
+        raise ValueError("meta: outcome must be a list, layout JSON text")
+    return {
+        **members,
+        "task": meta["task"],
+        "outcome": tuple(meta["outcome"]),
+        "design": LatticeDesign.from_json(meta["design"]),
+        "layout": MuscleLayout.from_dict(json.loads(meta["layout"])),
+    }

@@ -1,0 +1,519 @@
+"""The environment as Gymnasium, Stable-Baselines3 and a hostile caller see it."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import RecordVideo, RescaleAction, TimeLimit
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
+
+import lattice_gym
+from lattice_gym.design import LatticeDesign
+from lattice_gym.engines import MAX_DILATATION, EngineName, Health, Status
+from lattice_gym.env import DIVERGENCE_PENALTY, OBSERVATION_BOUND, LatticeWormEnv
+from lattice_gym.lattice import build_lattice
+from lattice_gym.measures import site_positions
+from lattice_gym.model import stable_dt
+from lattice_gym.muscles import advance_activation, named_layout
+from lattice_gym.tasks import TASKS, Peristalsis
+
+IDS = {
+    "LatticeWorm-v0": ("peristalsis", 90, 200),
+    "LatticeWormPeristalsis-v0": ("peristalsis", 90, 200),
+    "LatticeWormExtension-v0": ("extension", 48, 40),
+    "LatticeWormCompression-v0": ("compression", 42, 40),
+    "LatticeWormBending-v0": ("bending", 90, 40),
+}
+SMALL = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
+"""A lattice of three sites on each of five levels: quick to build and to step."""
+N_SMALL = 21
+"""Its muscles."""
+SMALL_WAVE = {"wavelength": 0.1, "speed": 0.1}
+
+
+def _env(id: str, **kwargs: Any) -> LatticeWormEnv:
+    env = gymnasium.make(id, **kwargs).unwrapped
+    assert isinstance(env, LatticeWormEnv)
+    return env
+
+
+def _episode(env: gymnasium.Env[Any, Any], n_step: int, seed: int = 0) -> list[Any]:
+    """Everything a seeded episode of random actions returns."""
+    env.action_space.seed(seed)
+    returned: list[Any] = [env.reset(seed=seed)]
+    returned += [env.step(env.action_space.sample()) for _ in range(n_step)]
+    return returned
+
+
+def _refusal(call: Callable[[], object]) -> str | None:
+    """Return the message of the ValueError a call raises, if it does."""
+    try:
+        call()
+    except ValueError as error:
+        return str(error)
+    return None
+
+
+def _same(first: list[Any], second: list[Any]) -> bool:
+    return pickle.dumps(first) == pickle.dumps(second)
+
+
+@pytest.mark.parametrize("id", list(IDS))
+def test_ids(id: str) -> None:
+    """Every id makes its task; the time limit is registered, not the environment's."""
+    env = gymnasium.make(id)
+    task, n_action, limit = IDS[id]
+    assert isinstance(env.unwrapped, LatticeWormEnv)
+    assert (env.unwrapped.task.name, env.action_space.shape) == (task, (n_action,))
+    assert env.spec is not None
+    assert env.spec.max_episode_steps == limit
+    env.reset(seed=0)
+    action = np.zeros(n_action, dtype=np.float32)
+    ends = [env.step(action)[2:4] for _ in range(limit)]
+    assert ends == [(False, False)] * (limit - 1) + [(False, True)]
+    assert env.unwrapped.step(action)[3] is False
+
+
+@pytest.mark.parametrize("id", list(IDS)[1:])
+def test_gymnasium_checker(id: str) -> None:
+    """No warning (all warnings are errors here), rendering included."""
+    check_env(_env(id, render_mode="rgb_array"))
+
+
+@pytest.mark.parametrize("id", list(IDS)[1:])
+@pytest.mark.parametrize("control", ["muscle", "ring"])
+def test_stable_baselines_checker(id: str, control: str) -> None:
+    """As training wraps it."""
+    env = gymnasium.make(id, control=control, rhythm=1.0)
+    check_env_sb3(RescaleAction(env, np.float32(-1.0), np.float32(1.0)))
+
+
+def test_importing_is_light_and_registers() -> None:
+    """Torch, PyElastica and graphics stay out; the module prefix of an id imports the package."""
+    code = (
+        "import gymnasium, sys; env = gymnasium.make('lattice_gym:LatticeWorm-v0'); env.reset(); "
+        "env.step(env.action_space.sample()); "
+        "print([m for m in ('torch', 'elastica', 'pyvista', 'vtkmodules', 'matplotlib') if m in sys.modules])"
+    )
+    root = Path(lattice_gym.__file__).resolve().parents[1]
+    run = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("id", list(IDS)[1:])
+def test_rewards_sum_exactly(id: str) -> None:
+    """To the last bit, and the info has what it should."""
+    env = gymnasium.make(id)
+    for _, reward, _, _, info in _episode(env, 25)[1:]:
+        assert reward == sum(info["reward_terms"].values())
+        assert set(info) == {"reward_terms", "outcome", "status", "clipped_actions", "clipped_observations"}
+        assert (info["status"], info["clipped_actions"], info["clipped_observations"]) == ("ok", 0, 0)
+        assert list(info["reward_terms"])[-2:] == ["effort", "divergence"]
+        assert all(type(value) is float for value in {**info["reward_terms"], **info["outcome"]}.values())
+        assert type(reward) is float
+
+
+@pytest.mark.parametrize("id", list(IDS)[1:])
+@pytest.mark.parametrize("observation", ["sites", "nodes"])
+def test_observations(id: str, observation: str) -> None:
+    """They share no memory, stay inside their space, and only what is commanded is constant over an episode."""
+    env = _env(id, observation=observation, rhythm=1.3)
+    steps = _episode(env, 30)
+    seen = np.array([step[0] for step in steps])
+    assert seen.dtype == np.float32
+    assert all(step[0] in env.observation_space for step in steps)
+    assert not any(np.shares_memory(a[0], b[0]) for a, b in pairwise(steps))
+    n_moving, n_action = 6 * (48 if observation == "sites" else 480), env.action_space.shape[0]
+    assert seen.shape[1] == n_moving + n_action + len(env.task.bounds) + 2
+    constant = np.flatnonzero(np.ptp(seen, axis=0) == 0.0) - n_moving - n_action
+    assert constant.tolist() == {"bending": [0, 1], "peristalsis": [2, 3, 4]}.get(env.task.name, [])
+    commands = np.array([env.reset()[0][n_moving + n_action :][: len(env.task.bounds)] for _ in range(5)])
+    assert np.all(np.ptp(commands, axis=0) > 0.0)
+
+
+def test_observation_holds_what_it_says() -> None:
+    """Each part against the state it was read from."""
+    env = _env("LatticeWorm-v0", rhythm=2.0, control="ring")
+    observation = _episode(env, 13)[-1][0]
+    free, n = env.lattice.site_level > 0, 3 * 48
+    moved = site_positions(env.lattice, env.state.position) - env.lattice.site_position
+    np.testing.assert_allclose(observation[:n], moved[free].ravel() / 0.02, rtol=1e-6, atol=1e-7)
+    velocity = site_positions(env.lattice, env.state.velocity)
+    np.testing.assert_allclose(observation[n : 2 * n], velocity[free].ravel() / 0.1, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(observation[2 * n : 2 * n + 15][env.groups], env.activation, rtol=1e-6)
+    np.testing.assert_allclose(observation[-7:-2], env.task.observe(env.time), rtol=1e-6)
+    np.testing.assert_allclose(
+        observation[-2:], [np.cos(4 * np.pi * env.time), np.sin(4 * np.pi * env.time)], rtol=1e-5
+    )
+    assert env.time == pytest.approx(13 * 0.05)
+    assert 0.3 < np.abs(observation[: 2 * n]).max() < 5.0
+
+
+def test_free_base_observes_every_site() -> None:
+    """Nothing is held, so nothing is left out, and every level is to follow the wave."""
+    env = LatticeWormEnv(design={"base": "free"})
+    assert env.observation_space.shape == (6 * 54 + 90 + 5,)
+    assert isinstance(env.task, Peristalsis)
+    assert env.task.target(0.0).shape == (9,)
+    assert _episode(env, 3)[-1][4]["status"] == "ok"
+
+
+@pytest.mark.parametrize("control", ["muscle", "ring", "column", [0, 1] * 45])
+def test_control(control: Any) -> None:
+    """The action of a group is the command of its muscles, followed by exact first-order dynamics."""
+    env = _env("LatticeWorm-v0", control=control)
+    env.reset(seed=0)
+    n_action = {"muscle": 90, "ring": 15, "column": 24}.get(str(control), 2)
+    assert env.action_space.shape == (n_action,)
+    activation = np.zeros(90)
+    for seed in range(3):
+        action = np.random.default_rng(seed).random(n_action)
+        env.step(action)
+        activation = advance_activation(activation, action[env.groups], 0.05, 0.015, 0.05)
+        np.testing.assert_allclose(env.activation, activation, rtol=1e-12)
+
+
+def test_state_does_not_survive_reset() -> None:
+    """A reset after violent steps starts as the first one did, and what is handed out is a copy."""
+    env = _env("LatticeWorm-v0")
+    first = _episode(env, 45)
+    env.state.position[:] = np.nan
+    env.activation[:] = np.nan
+    assert _same(first, _episode(env, 45))
+
+
+def test_seeds() -> None:
+    """The same seed gives the same episode, another seed another, and a reset without one goes on drawing."""
+    env = gymnasium.make("LatticeWorm-v0")
+    first = _episode(env, 3, seed=1)
+    assert _same(first, _episode(gymnasium.make("LatticeWorm-v0"), 3, seed=1))
+    assert not _same(first[:1], [env.reset(seed=2)])
+    assert env.reset()[1]["command"] != env.reset()[1]["command"]
+
+
+def test_commands() -> None:
+    """Held by the constructor, for one episode by options, and told at reset."""
+    env = _env("LatticeWormBending-v0", command={"azimuth": 1.0})
+    assert env.reset(seed=0)[1] == {"command": {"azimuth": 1.0}, "status": "ok"}
+    observation, info = env.reset(options={"azimuth": -2.0})
+    assert info["command"] == env.task.command == {"azimuth": -2.0}
+    np.testing.assert_allclose(observation[-2:], [np.cos(-2.0), np.sin(-2.0)], rtol=1e-6)
+    assert env.reset()[1]["command"] == {"azimuth": 1.0}
+
+
+@pytest.mark.parametrize("form", ["objects", "dicts"])
+def test_specs_survive_json(form: str) -> None:
+    """An EnvSpec made with objects or dicts, through JSON, makes an environment that behaves the same."""
+    design = LatticeDesign(diameter=0.07)
+    layout = named_layout("all", build_lattice(design)).switched(np.arange(90) % 3 > 0)
+    kwargs: dict[str, Any] = {"design": design, "muscles": layout}
+    if form == "dicts":
+        kwargs = {name: value.to_dict() for name, value in kwargs.items()}
+    env = gymnasium.make("LatticeWorm-v0", control="ring", rhythm=1.0, command={"speed": 0.1}, **kwargs)
+    assert env.spec is not None
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    one, other = env.unwrapped, again.unwrapped
+    assert isinstance(one, LatticeWormEnv)
+    assert isinstance(other, LatticeWormEnv)
+    assert (one.design, one.layout) == (other.design, other.layout) == (design, layout)
+    assert one.observation_space == other.observation_space
+    assert one.action_space == other.action_space
+    assert _same(_episode(env, 3), _episode(again, 3))
+
+
+@pytest.mark.parametrize("copied", [lambda env: pickle.loads(pickle.dumps(env)), copy.deepcopy])
+def test_copies_go_on_exactly(copied: Any, engine_name: EngineName) -> None:
+    """A copy made within an episode goes on as the original does, on either engine, and apart from it."""
+    env = LatticeWormEnv(design=SMALL, engine=engine_name, command=SMALL_WAVE)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        env.step(rng.random(env.action_space.shape))
+    twin = copied(env)
+    actions = rng.random((3, *env.action_space.shape))
+    original = [env.step(action) for action in actions]
+    assert _same(original, [twin.step(action) for action in actions])
+    assert _same([env.reset()], [twin.reset()])
+
+
+def test_engines_agree() -> None:
+    """The two engines return the same observations and rewards, to rounding."""
+    envs = [LatticeWormEnv(design=SMALL, engine=engine, command=SMALL_WAVE) for engine in ("fused", "pyelastica")]
+    for fused, reference in zip(*(_episode(env, 4) for env in envs), strict=True):
+        np.testing.assert_allclose(fused[0], reference[0], atol=1e-6)
+        if len(fused) == 5:
+            assert fused[1] == pytest.approx(reference[1], abs=1e-7)
+
+
+@given(
+    st.lists(st.floats(allow_nan=False, width=32), min_size=N_SMALL, max_size=N_SMALL),
+    st.sampled_from([np.float32, np.float64, list]),
+)
+@settings(max_examples=25, deadline=None)
+def test_any_number_is_clipped_and_counted(values: list[float], kind: Any) -> None:
+    """Infinities too; the reward stays finite and the observation in its space."""
+    env = _HOSTILE
+    env.reset(seed=0)
+    observation, reward, _, _, info = env.step(kind(values))
+    assert info["clipped_actions"] == sum(not 0.0 <= value <= 1.0 for value in values)
+    assert observation in env.observation_space
+    assert np.isfinite(reward)
+    expected = advance_activation(np.zeros(N_SMALL), np.clip(values, 0.0, 1.0), 0.05, 0.015, 0.05)
+    np.testing.assert_allclose(env.activation, expected)
+
+
+_HOSTILE = LatticeWormEnv(design=SMALL, command=SMALL_WAVE)
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        np.full(N_SMALL, np.nan),
+        np.append(np.zeros(N_SMALL - 1), np.nan),
+        np.zeros(N_SMALL - 1),
+        np.zeros((1, N_SMALL)),
+        np.zeros(N_SMALL, dtype=np.complex128),
+        np.zeros(N_SMALL, dtype=np.bool_),
+        np.array(["a"] * N_SMALL),
+        [None] * N_SMALL,
+        [[0.0], [0.0, 1.0]],
+        0.5,
+        None,
+        "up",
+        {"muscle": 1.0},
+    ],
+)
+def test_wrong_actions(action: Any) -> None:
+    """A ValueError that names the action, and the episode goes on as if nothing had been asked."""
+    _HOSTILE.reset(seed=0)
+    before = pickle.dumps(_HOSTILE.state)
+    with pytest.raises(ValueError, match=r"^action:"):
+        _HOSTILE.step(action)
+    assert pickle.dumps(_HOSTILE.state) == before
+    assert _HOSTILE.step(np.zeros(N_SMALL))[4]["status"] == "ok"
+
+
+def test_steps_need_a_reset() -> None:
+    """Before the first one, as Gymnasium's own wrapper has it."""
+    with pytest.raises(gymnasium.error.ResetNeeded, match="reset"):
+        LatticeWormEnv(design=SMALL, command=SMALL_WAVE).step(np.zeros(N_SMALL))
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"task": "swimming"}, r"^task = 'swimming': must be one of extension"),
+        ({"task": ["bending"]}, r"^task = "),
+        ({"design": 7}, r"^design = 7"),
+        ({"design": {"n_pair": 6}}, r"no field 'n_pair'"),
+        ({"design": {"period_ratio": 1.4}}, r"^LatticeDesign.period_ratio = 1.4: .* nearest"),
+        ({"muscles": "strong"}, r"^muscles = 'strong'"),
+        ({"muscles": 3}, r"^muscles = 3"),
+        ({"muscles": {"muscles": [{"orientation": "custom", "start": 0, "end": 54}]}}, r"^muscles: site 54"),
+        ({"muscles": {"muscles": []}}, r"^muscles"),
+        ({"control": "brain"}, r"^control = 'brain'"),
+        ({"control": [0, 1]}, r"^control has 2 entries"),
+        ({"control": [0, 2] * 45}, r"^control: group 1 drives no muscle"),
+        ({"rhythm": 0.0}, r"^rhythm = 0.0: must be a number from 0 to 10 \[Hz\], and not 0"),
+        ({"rhythm": 11.0}, r"^rhythm = 11.0"),
+        ({"rhythm": "fast"}, r"^rhythm = 'fast'"),
+        ({"engine": "steam"}, r"^engine = 'steam': must be one of fused, pyelastica"),
+        ({"dt": 0.0}, r"^dt = 0.0"),
+        ({"dt": float("nan")}, r"^dt = nan"),
+        ({"dt": "small"}, r"^dt = 'small'"),
+        ({"dt": True}, r"^dt = True"),
+        ({"dt": 0.1}, r"^dt = 0.1: must be a number from 0 to 0.05"),
+        ({"dt": 1e-9}, r"^dt = 1e-09: 5e\+07 steps in control_dt"),
+        ({"dt": 3e-4}, r"^dt = 0.0003: must divide .* 0.00029940\d* and 0.00030120\d* s"),
+        ({"dt": 1e-3}, r"^dt = 0.001: above the predicted stable .* allow_large_dt=True"),
+        ({"allow_large_dt": "yes"}, r"^allow_large_dt = 'yes'"),
+        ({"control_dt": 0.0}, r"^control_dt = 0.0"),
+        ({"control_dt": -0.05}, r"^control_dt = -0.05"),
+        ({"control_dt": float("inf")}, r"^control_dt = inf"),
+        ({"control_dt": 10**400}, r"^control_dt = 1000"),
+        ({"control_dt": 0.2}, r"^command: .*4 control steps"),
+        ({"observation": "pixels"}, r"^observation = 'pixels': must be one of sites, nodes"),
+        ({"observation": []}, r"^observation = "),
+        ({"command": {"azimuth": 0.0}}, r"^command: peristalsis commands no 'azimuth'"),
+        ({"render_mode": "human"}, r"^render_mode = 'human'"),
+        ({"render_mode": 3}, r"^render_mode = 3"),
+        ({"design": {"structure_youngs_modulus": 1e13}}, r"^dt = .* steps in control_dt"),
+    ],
+)
+def test_wrong_arguments(kwargs: dict[str, Any], message: str) -> None:
+    """The error names the argument."""
+    with pytest.raises(ValueError, match=message):
+        LatticeWormEnv(**kwargs)
+
+
+_JUNK = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5), st.lists(st.floats(), max_size=3),
+    st.dictionaries(st.text(max_size=5), st.floats(), max_size=2),
+)  # fmt: skip
+
+
+@given(name=st.sampled_from(["task", "design", "muscles", "control", "rhythm", "engine", "dt", "allow_large_dt",
+                             "control_dt", "observation", "command", "render_mode"]), value=_JUNK)  # fmt: skip
+@settings(max_examples=150, deadline=None)
+def test_any_argument_is_taken_or_named(name: str, value: Any) -> None:
+    """Whatever an argument is, it makes a working environment or a ValueError that names it."""
+    kwargs: dict[str, Any] = {"task": "bending", "design": SMALL} | {name: value}
+    message = _refusal(lambda: LatticeWormEnv(**kwargs))
+    if message is None:
+        env = LatticeWormEnv(**kwargs)
+        assert env.reset(seed=0)[0] in env.observation_space
+    else:
+        assert name in message.lower()
+
+
+@given(options=_JUNK)
+@settings(max_examples=50, deadline=None)
+def test_any_options_are_taken_or_named(options: Any) -> None:
+    """None and an empty dict change nothing; what the task does not command is refused."""
+    message = _refusal(lambda: _HOSTILE.reset(seed=0, options=options))
+    assert (message is None) == (options is None or options == {})
+    assert message is None or message.startswith("options")
+    assert _HOSTILE.reset(seed=0)[0] in _HOSTILE.observation_space
+
+
+@pytest.mark.parametrize("divisor", [125, 200, 500])
+def test_dt(divisor: int) -> None:
+    """Any whole fraction of the control step below the stable step is taken as it is."""
+    env = LatticeWormEnv(dt=0.05 / divisor)
+    assert (env.n_substeps, env.dt) == (divisor, 0.05 / divisor)
+    assert env.dt < stable_dt(env.model)
+    assert LatticeWormEnv().n_substeps * LatticeWormEnv().dt == pytest.approx(0.05, rel=1e-12)
+
+
+@pytest.mark.parametrize("task", list(TASKS))
+def test_divergence_ends_the_episode_and_never_pays(task: str, engine_name: EngineName) -> None:
+    """With a step far too large: status, the last sound observation again, no NaN, and a return below nothing."""
+    env = LatticeWormEnv(
+        task,
+        design=SMALL,
+        engine=engine_name,
+        dt=0.005,
+        allow_large_dt=True,
+        command=SMALL_WAVE if task == "peristalsis" else None,
+    )
+    observation, _ = env.reset(seed=0)
+    total, terminated, info = 0.0, False, dict[str, Any]()
+    for _ in range(40):
+        before = observation
+        observation, reward, terminated, truncated, info = env.step(np.ones(env.action_space.shape))
+        total += reward
+        assert observation in env.observation_space
+        assert reward == sum(info["reward_terms"].values())
+        assert not truncated
+        if terminated:
+            break
+    assert terminated
+    assert re.fullmatch(r"(non_finite|overstretched|inverted) \(rod \d+, element \d+\)", info["status"])
+    assert tuple(info["reward_terms"]) == (*env.task.term_names, "divergence")
+    assert reward == info["reward_terms"]["divergence"] == -DIVERGENCE_PENALTY
+    np.testing.assert_array_equal(observation, before)
+    assert np.isfinite(env.state.position).all()
+    assert total < -0.5 * DIVERGENCE_PENALTY
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.ones(env.action_space.shape))
+    env.reset(seed=0)
+    assert env.state.time == 0.0
+
+
+def test_no_episode_earns_the_penalty_back() -> None:
+    """Most that a step can earn: all of the wave at its crest, half a turn, rods stretched to the limit, up or down."""
+    most = {
+        "peristalsis": 2.0,
+        "bending": np.pi,
+        "extension": MAX_DILATATION - 1.0,
+        "compression": MAX_DILATATION + 1.0,
+    }
+    assert max(most[task] * limit for task, _, limit in IDS.values()) < DIVERGENCE_PENALTY
+
+
+def test_any_engine_failure_is_survived(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whichever status the engine returns is what the environment reports, and the state is put back."""
+    env = LatticeWormEnv(design=SMALL, command=SMALL_WAVE)
+    env.reset(seed=0)
+    env.step(np.ones(N_SMALL))
+    advance, state = env._engine.advance, pickle.dumps(env.state)
+
+    def fail(tension: Any, n_substeps: int) -> Health:
+        advance(tension, n_substeps)
+        return Health(Status.INVERTED, 4, 2)
+
+    monkeypatch.setattr(env._engine, "advance", fail)
+    _, _, terminated, _, info = env.step(np.zeros(N_SMALL))
+    assert terminated
+    assert info["status"] == "inverted (rod 4, element 2)"
+    assert pickle.dumps(env.state) == state == pickle.dumps(env._engine.state)
+
+
+def test_far_observations_are_clipped_and_counted() -> None:
+    """What moves beyond the bound is held at it, and the info says how many numbers were."""
+    env = LatticeWormEnv("extension", design=SMALL)
+    env.reset(seed=0)
+    far = env.state
+    rods = slice(0, env.lattice.n_rod * env.lattice.n_node)
+    far.velocity[rods][~np.isin(np.arange(rods.stop), env.model.node_offset)] = 1e6
+    env._state = far
+    observation, clipped = env._observe()
+    assert clipped == np.count_nonzero(np.abs(observation) == OBSERVATION_BOUND) > 0
+    assert observation in env.observation_space
+
+
+def test_rendering() -> None:
+    """A picture that changes as the worm moves; none without a render mode; close may be called again."""
+    env = LatticeWormEnv("extension", render_mode="rgb_array")
+    env.reset(seed=0)
+    first = env.render()
+    env.step(np.ones(48))
+    second = env.render()
+    assert first is not None
+    assert second is not None
+    assert first.dtype == np.uint8
+    assert first.shape == second.shape == (480, 640, 3)
+    assert (first != second).any()
+    again = pickle.loads(pickle.dumps(env)).render()
+    np.testing.assert_allclose(again.astype(float), second.astype(float), atol=2.0)
+    env.close()
+    env.close()
+    assert LatticeWormEnv("extension").render() is None
+
+
+def test_record_video(tmp_path: Path) -> None:
+    """Gymnasium's own recorder writes a video at the control rate."""
+    env = gymnasium.make("LatticeWormExtension-v0", render_mode="rgb_array")
+    assert env.metadata["render_fps"] == pytest.approx(20.0)
+    recorder: gymnasium.Env[Any, Any] = RecordVideo(TimeLimit(env, 5), str(tmp_path / "videos"), disable_logger=True)
+    recorder.reset(seed=0)
+    while not recorder.step(recorder.action_space.sample())[3]:
+        pass
+    recorder.close()
+    (video,) = tmp_path.glob("videos/*.mp4")
+    assert video.stat().st_size > 1000
+
+
+def test_dict_forms_are_json() -> None:
+    """What the docstring calls dict forms are."""
+    env = LatticeWormEnv()
+    again = LatticeWormEnv(
+        design=json.loads(json.dumps(env.design.to_dict())), muscles=json.loads(json.dumps(env.layout.to_dict()))
+    )
+    assert (again.design, again.layout) == (env.design, env.layout)
