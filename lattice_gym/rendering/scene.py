@@ -1,0 +1,274 @@
+"""The scene that every picture and video is made of."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import sys
+import textwrap
+from contextlib import suppress
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from lattice_gym.design import FloatArray
+from lattice_gym.lattice import Lattice
+from lattice_gym.model import RodModel
+from lattice_gym.rendering import colours
+from lattice_gym.rendering.colours import activation_colour, rgb
+from lattice_gym.rendering.extras import extra
+from lattice_gym.rendering.shapes import Balls, Tubes, overwrite
+from lattice_gym.trajectory import ACTIVATION_TOLERANCE
+
+RGB = npt.NDArray[np.uint8]
+
+# Drawn radius over true radius; the balls at the sites are in radii of the structure rods.
+ROD_SCALE, MUSCLE_SCALE, SITE_SCALE = 0.42, 0.56, 0.56
+# Pieces that each is drawn in at least, and the share of its radius that a muscle loses towards its ends.
+ROD_PIECES, MUSCLE_PIECES, TAPER = 32, 8, 0.45
+# What lies furthest back is paled by this share, as by haze.
+HAZE = 0.6
+MATERIAL = {"ambient": 0.35, "diffuse": 0.75, "specular": 0.1, "specular_power": 25}
+# Where the lights stand about a camera at (0, 0, 1) that looks at the origin, and how strong they are.
+LIGHTS = (((-0.5, 0.9, 0.9), 0.75), ((0.8, 0.2, 0.9), 0.4))
+# Azimuth and elevation of the camera, and its vertical angle of view [rad].
+AZIMUTH, ELEVATION, VIEW_ANGLE = math.radians(-53.0), math.radians(20.0), math.radians(16.0)
+# Left, right, bottom and top of the colour bar, of the worm's place beside it and of its place in a bare picture, in
+# shares of the picture.
+BAR, STAGE, BARE_STAGE = (0.915, 0.935, 0.30, 0.70), (0.03, 0.85, 0.03, 0.86), (0.03, 0.97, 0.03, 0.97)
+# Each pixel is the mean of this many drawn ones, squared.
+SUPERSAMPLE = 2
+# Letters of the line of text, in heights of the picture.
+LINE_HEIGHT = 0.032
+# Radius and depth of the base plate, in diameters of the worm.
+PLATE_RADIUS, PLATE_DEPTH = 0.68, 0.05
+
+
+def _plotter(size: list[int]) -> Any:
+    """Empty off-screen scene of the size [pixels]."""
+    pyvista = extra("pyvista")
+    # Where there is no X server, VTK takes EGL or else OSMesa by itself, but warns of the missing server first.
+    with pyvista.vtk_verbosity("error"):
+        plotter = pyvista.Plotter(off_screen=True, window_size=size, lighting="none")
+    if plotter.render_window.GetClassName() == "vtkOSOpenGLRenderWindow" and not _has_osmesa():
+        plotter.close()
+        raise RuntimeError("nothing here can draw: install EGL (libegl1) or OSMesa (libosmesa6), or set DISPLAY")
+    plotter.disable_anti_aliasing()
+    plotter.background_color = "white"
+    for place, intensity in LIGHTS:
+        plotter.add_light(pyvista.Light(position=place, light_type="camera light", intensity=intensity))
+    return plotter
+
+
+def _has_osmesa() -> bool:
+    """Whether OSMesa can be loaded; VTK falls back on it unasked, and crashes where it is missing."""
+    if not sys.platform.startswith("linux"):
+        return True
+    for name in ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so"):
+        with suppress(OSError):
+            ctypes.CDLL(name)
+            return True
+    return False
+
+
+def checked(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    """Values as finite floats of the shape, or a ValueError that names them."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}: must have {shape}")
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"{name}: must be finite")
+    return array
+
+
+class Renderer:
+    """A scene that is built once and then moved; close it, or use it in a with statement.
+
+    Parameters
+    ----------
+    lattice, model
+        The worm: its structure rods first, then its muscles.
+    size
+        Width and height of the pictures [pixels].
+    view
+        Points that every picture shows [m], shape (n, 3); by default the worm at rest and 60 % taller.
+    bare
+        The worm fills the picture, with neither colour bar nor text.
+    fine
+        Shade where parts meet, for stills: about 6 times slower.
+    """
+
+    def __init__(
+        self,
+        lattice: Lattice,
+        model: RodModel,
+        size: tuple[int, int] = (640, 480),
+        *,
+        view: npt.ArrayLike | None = None,
+        bare: bool = False,
+        fine: bool = False,
+    ) -> None:
+        if not (len(size) == 2 and all(isinstance(pixels, int) and 64 <= pixels <= 4096 for pixels in size)):
+            raise ValueError(f"size = {size!r}: must be a width and a height, whole numbers of pixels from 64 to 4096")
+        if view is None:
+            rest = lattice.position.reshape(-1, 3)
+            shown = np.concatenate([rest, rest * [1.0, 1.0, 1.6]])
+        else:
+            shown = checked("view", view, (max(1, len(np.atleast_1d(view))), 3))
+        self.size, self._model = size, model
+        self._plotter = _plotter([SUPERSAMPLE * pixels for pixels in size])
+        muscles = set(model.muscles)
+        self._rods = Tubes(model, [rod for rod in range(model.n_rod) if rod not in muscles], ROD_SCALE, ROD_PIECES, 0.0)
+        self._balls = Balls(lattice.n_site, SITE_SCALE * lattice.design.structure_radius)
+        self._muscles = Tubes(model, model.muscles, MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if muscles else None
+        self._site_nodes = lattice.site_rod * lattice.n_node + lattice.site_node
+        for part in self._parts():
+            actor = self._plotter.add_mesh(part.mesh, scalars="colour", rgb=True, smooth_shading=False, **MATERIAL)
+            actor.prop.interpolation = "Phong"
+        self._bare, self._colour_bar = bare, bool(muscles) and not bare
+        if self._colour_bar:
+            self._write("activation", 0.5 * (BAR[0] + BAR[1]), BAR[3] + 0.03, 0.03, ("center", "bottom"))
+            for value in (0.0, 0.5, 1.0):
+                self._write(f"{value:g}", BAR[1] + 0.01, BAR[2] + value * (BAR[3] - BAR[2]), 0.028, ("left", "center"))
+        self._time = self._write("", 0.03, 0.965, 0.036, ("left", "top"))
+        self._line = self._write("", 0.03, 0.915, LINE_HEIGHT, ("left", "top"))
+        if lattice.design.base == "clamped":
+            shown = np.concatenate([shown, self._add_plate(lattice.design.diameter)])
+        self._aim(shown)
+        if fine:
+            reach = 0.12 * lattice.design.diameter
+            self._plotter.enable_ssao(radius=reach, bias=0.08 * reach, kernel_size=64)
+
+    def update(
+        self,
+        position: npt.ArrayLike,
+        activation: npt.ArrayLike | None = None,
+        time: float | None = None,
+        text: str = "",
+    ) -> RGB:
+        """Picture, shape (height, width, 3).
+
+        Takes node positions (n_node, 3) [m], activations (n_muscle,) from 0 (the default) to 1, a time [s] and a line
+        of text to print. Wrong shapes and numbers that are not finite are a ValueError.
+        """
+        x = checked("position", position, (self._model.n_node, 3))
+        n_muscle = self._model.n_muscle
+        a = np.zeros(n_muscle) if activation is None else checked("activation", activation, (n_muscle,))
+        if n_muscle and np.max(np.abs(a - 0.5)) > 0.5 + ACTIVATION_TOLERANCE:
+            raise ValueError(f"activation spans {a.min():g} to {a.max():g}: must lie in [0, 1]")
+        self._rods.update(x)
+        self._paint(self._rods.mesh, rgb(colours.ROD))
+        self._balls.update(x[self._site_nodes].mean(axis=1))
+        self._paint(self._balls.mesh, rgb(colours.SITE))
+        if self._muscles:
+            self._muscles.update(x)
+            self._paint(self._muscles.mesh, activation_colour(a))
+        if not self._bare:
+            self._time.input = "" if time is None else f"t = {time:.2f} s"
+            # A letter is about half as wide as it is high.
+            self._line.input = textwrap.fill(text, int(0.94 * self.size[0] / (0.5 * LINE_HEIGHT * self.size[1])))
+        return self._picture()
+
+    def close(self) -> None:
+        """Free the scene."""
+        self._plotter.close()
+
+    def __enter__(self) -> Self:
+        """Return the renderer."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Close the renderer."""
+        self.close()
+
+    def _parts(self) -> list[Tubes | Balls]:
+        return [part for part in (self._rods, self._balls, self._muscles) if part]
+
+    def _write(self, text: str, x: float, y: float, size: float, justified: tuple[str, str]) -> Any:
+        """Text at a place and of a size in shares of the picture; it may be changed later."""
+        pyvista = extra("pyvista")
+        actor = pyvista.Text(text=text, position=(x, y))
+        actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+        actor.prop = pyvista.TextProperty(color=colours.TEXT, font_size=round(size * self.size[1] * SUPERSAMPLE))
+        actor.prop.justification_horizontal, actor.prop.justification_vertical = justified
+        self._plotter.add_actor(actor)
+        return actor
+
+    def _add_plate(self, diameter: float) -> FloatArray:
+        """Add the base that a clamped worm stands on; its points, shape (n, 3) [m]."""
+        radius, depth = PLATE_RADIUS * diameter, PLATE_DEPTH * diameter
+        centre = (0.0, 0.0, -0.5 * depth)
+        plate = extra("pyvista").Cylinder(
+            center=centre, direction=(0, 0, 1), radius=radius, height=depth, resolution=128
+        )
+        self._plotter.add_mesh(plate, color=colours.PLATE, ambient=0.6, diffuse=0.45, specular=0.0)
+        return np.asarray(plate.points, dtype=np.float64)
+
+    def _aim(self, points: FloatArray) -> None:
+        """Bring the camera so near that the points fill the stage, seen from the fixed direction."""
+        left, right, bottom, top = BARE_STAGE if self._bare else STAGE
+        tall = math.tan(0.5 * VIEW_ANGLE) * (top - bottom)
+        wide = math.tan(0.5 * VIEW_ANGLE) * (right - left) * self.size[0] / self.size[1]
+        self._back = np.array([math.cos(AZIMUTH), math.sin(AZIMUTH), math.tan(ELEVATION)]) * math.cos(ELEVATION)
+        across = np.array([-math.sin(AZIMUTH), math.cos(AZIMUTH), 0.0])
+        axes = np.stack([across, np.cross(self._back, across), self._back])
+        seen = points @ axes.T
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        x, y, z = (seen - 0.5 * (low + high)).T
+        distance = float(np.max(np.maximum(np.abs(x) / wide, np.abs(y) / tall) + z))
+        focus = 0.5 * (low + high) @ axes
+        camera = self._plotter.camera
+        camera.focal_point, camera.position, camera.up = focus, focus + distance * self._back, (0.0, 0.0, 1.0)
+        camera.view_angle = math.degrees(VIEW_ANGLE)
+        camera.SetWindowCenter(1.0 - left - right, 1.0 - bottom - top)
+        self._plotter.reset_camera_clipping_range()
+        self._depth = low[2], high[2]
+
+    def _paint(self, mesh: Any, colour: FloatArray) -> None:
+        """Colour the equal parts of a mesh, one each (n, 3) or one for all (3,), 0 to 255, paler towards the back."""
+        depth = np.asarray(mesh.points) @ self._back
+        haze = HAZE * np.clip((self._depth[1] - depth) / (self._depth[1] - self._depth[0]), 0.0, 1.0)
+        parts = np.atleast_2d(colour)
+        shown = np.repeat(parts, len(depth) // len(parts), axis=0)
+        shown += haze[:, None] * (rgb(colours.HAZE) - shown)
+        overwrite(mesh.point_data["colour"], shown)
+
+    def _picture(self) -> RGB:
+        n, (width, height) = SUPERSAMPLE, self.size
+        window, pixels = self._plotter.render_window, extra("vtkmodules.vtkCommonCore").vtkUnsignedCharArray()
+        self._plotter.reset_camera_clipping_range()
+        window.Render()
+        window.GetPixelData(0, 0, n * width - 1, n * height - 1, 0, pixels, 0)
+        drawn = np.frombuffer(pixels, np.uint8).reshape(n * height, n * width, 3)[::-1]
+        total = np.full((height, width, 3), n * n // 2, np.uint16)
+        for row in range(n):
+            for column in range(n):
+                total += drawn[row::n, column::n]
+        picture = (total // (n * n)).astype(np.uint8)
+        if self._colour_bar:
+            left, right, bottom, top = BAR
+            rows = slice(round((1.0 - top) * height), round((1.0 - bottom) * height))
+            shades = activation_colour(np.linspace(1.0, 0.0, rows.stop - rows.start)).round()
+            picture[rows, round(left * width) : round(right * width)] = shades[:, None]
+        return picture
+
+    @property
+    def pixels_per_metre(self) -> float:
+        """Scale of the picture where the middle of the view stands [1/m]."""
+        camera = self._plotter.camera
+        return float(self.size[1] / (2.0 * math.tan(0.5 * VIEW_ANGLE) * camera.distance))
+
+
+def render_frame(
+    lattice: Lattice,
+    model: RodModel,
+    position: npt.ArrayLike,
+    activation: npt.ArrayLike | None = None,
+    time: float | None = None,
+    text: str = "",
+    size: tuple[int, int] = (640, 480),
+) -> RGB:
+    """One picture, as Renderer.update makes it, shape (height, width, 3); for many keep a Renderer."""
+    with Renderer(lattice, model, size) as renderer:
+        return renderer.update(position, activation, time, text)

@@ -1,0 +1,85 @@
+"""Videos of recorded trajectories."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+
+import numpy as np
+
+from lattice_gym.design import FloatArray, IntArray
+from lattice_gym.lattice import build_lattice
+from lattice_gym.model import build_model
+from lattice_gym.rendering.extras import extra
+from lattice_gym.rendering.scene import Renderer
+from lattice_gym.trajectory import Trajectory, replacing
+
+
+def render_video(
+    trajectory: Trajectory,
+    path: str | os.PathLike[str],
+    fps: float | None = None,
+    speed: float = 1.0,
+    progress: Callable[[int, int], None] | None = None,
+    size: tuple[int, int] = (960, 720),
+) -> None:
+    """Write an mp4 (H.264, yuv420p) in which speed seconds of simulated time pass in one second.
+
+    Each picture shows the frame last recorded by then. The default rate shows every frame once, where that makes 10 to
+    60 pictures a second. Width and height must be even. ``progress`` is called with the numbers of pictures done and of
+    all. The file appears under its name only once it is complete.
+    """
+    if not 1e-3 <= speed <= 1e3:
+        raise ValueError(f"speed = {speed!r}: must be from 0.001 to 1000")
+    if size[0] % 2 or size[1] % 2:
+        raise ValueError(f"size = {size!r}: must be even, as the video's pixels share their colour in blocks of 2 x 2")
+    shown, rate = _schedule(trajectory.time, fps, speed)
+    ffmpeg = extra("imageio_ffmpeg")
+    lattice = build_lattice(trajectory.design)
+    model = build_model(lattice, trajectory.layout)
+    note = "" if speed == 1.0 else f"   [{speed:g} x real time]"
+    with (
+        Renderer(lattice, model, size, view=trajectory.position.reshape(-1, 3)) as renderer,
+        replacing(path) as temporary,
+    ):
+        options = {"fps": rate, "codec": "libx264", "pix_fmt_out": "yuv420p", "macro_block_size": 2, "quality": 7}
+        options["output_params"] = ["-movflags", "+faststart", "-f", "mp4"]
+        writer = ffmpeg.write_frames(str(temporary), size, **options)
+        writer.send(None)
+        try:
+            last = -1
+            for k, frame in enumerate(shown.tolist()):
+                if frame != last:
+                    text = trajectory.outcome[frame] + note
+                    picture = renderer.update(
+                        trajectory.position[frame], trajectory.activation[frame], trajectory.time[frame], text
+                    )
+                    last = frame
+                writer.send(picture)
+                if progress:
+                    progress(k + 1, len(shown))
+        finally:
+            writer.close()
+        # ffmpeg's own end, on a full disk for one, is told to nobody.
+        written, _ = ffmpeg.count_frames_and_secs(str(temporary))
+        if written != len(shown):
+            raise RuntimeError(f"{path}: ffmpeg wrote {written} of {len(shown)} pictures")
+
+
+def _schedule(time: FloatArray, fps: float | None, speed: float) -> tuple[IntArray, float]:
+    """Which frame each picture of a video shows, and the pictures a second."""
+    if fps is None:
+        rate = speed / float(np.median(np.diff(time))) if len(time) > 1 else 10.0
+        if rate > 60.0:
+            rate /= math.ceil(rate / 60.0 - 1e-6)
+        elif rate < 10.0:
+            rate *= math.ceil(10.0 / rate - 1e-6)
+    elif 1.0 <= fps <= 240.0:
+        rate = float(fps)
+    else:
+        raise ValueError(f"fps = {fps!r}: must be from 1 to 240 [pictures/s]")
+    # A millionth of a picture keeps rounding from showing a frame one picture late.
+    count = math.floor((time[-1] - time[0]) / speed * rate + 1e-6) + 1
+    at = time[0] + (np.arange(count) + 1e-6) * speed / rate
+    return np.searchsorted(time, at, side="right") - 1, rate

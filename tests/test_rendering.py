@@ -1,0 +1,505 @@
+"""Pictures show what they are given, whole and in scale; videos keep time; nothing half-written is left behind."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from matplotlib.image import imread
+
+from lattice_gym.design import FloatArray, LatticeDesign
+from lattice_gym.lattice import Lattice, build_lattice
+from lattice_gym.model import RodModel, build_model, straight_rod
+from lattice_gym.muscles import MuscleLayout, named_layout, tie
+from lattice_gym.rendering import (
+    Renderer,
+    Still,
+    activation_colour,
+    plot_activation,
+    render_frame,
+    render_still,
+    render_strip,
+    render_video,
+    scene,
+    shapes,
+    video,
+)
+from lattice_gym.rendering.extras import extra
+from lattice_gym.trajectory import Recorder, Trajectory
+
+imageio_ffmpeg = extra("imageio_ffmpeg")
+SIZE = (160, 120)
+STRETCH = np.array([0.8, 0.8, 1.6])
+
+
+@pytest.fixture(scope="module")
+def lattice() -> Lattice:
+    """Return the default worm, coarse."""
+    return build_lattice(LatticeDesign(elements_per_segment=2))
+
+
+@pytest.fixture(scope="module")
+def model(lattice: Lattice) -> RodModel:
+    """Return its model with all muscles."""
+    return build_model(lattice, named_layout("all", lattice))
+
+
+@pytest.fixture(scope="module")
+def trajectory(lattice: Lattice, model: RodModel) -> Trajectory:
+    """Return a worm that grows by 60 % in 0.6 s while its muscles switch on one after another."""
+    share = np.linspace(0.0, 1.0, 7)
+    recorder = Recorder(lattice.design, named_layout("all", lattice), "extension")
+    for s in share:
+        position = rest_of(model) * (1.0 + s * (STRETCH - 1.0))
+        on = np.arange(model.n_muscle) < s * model.n_muscle
+        recorder.append(0.6 * s, position, on, outcome=f"strain {60 * s:.0f} %")
+    return recorder.build()
+
+
+def rest_of(model: RodModel) -> FloatArray:
+    """Rest positions of a model's nodes."""
+    return model.rest_state().position
+
+
+def drawn(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """Where a picture is not white."""
+    return np.asarray(np.any(picture < 250, axis=2))
+
+
+def crimson(picture: npt.NDArray[np.uint8]) -> int:
+    """How many pixels show muscles that are on."""
+    red, green, blue = picture.astype(int).transpose(2, 0, 1)
+    return int(np.sum((red > green + 60) & (blue > green + 10)))
+
+
+# The scene
+
+
+def test_picture_shows_positions_activations_time_and_text(lattice: Lattice, model: RodModel) -> None:
+    """Each argument of update changes the picture where it should."""
+    rest = rest_of(model)
+    with Renderer(lattice, model, (320, 240)) as renderer:
+        plain = renderer.update(rest)
+        on = renderer.update(rest, np.ones(model.n_muscle))
+        tall = renderer.update(rest * STRETCH)
+        told = renderer.update(rest, time=1.25, text="strain")
+    assert plain.shape == (240, 320, 3)
+    assert plain.dtype == np.uint8
+    # All but the colour bar shows no activation at first.
+    assert crimson(on) > crimson(plain) + 1000
+    assert (
+        np.flatnonzero(drawn(tall[40:, :260]).any(axis=1))[0] < np.flatnonzero(drawn(plain[40:, :260]).any(axis=1))[0]
+    )
+    changed = np.argwhere(np.any(told != plain, axis=2))
+    assert len(changed) > 100
+    assert changed.max(axis=0)[0] < 0.15 * 240
+
+
+def test_long_line_stays_in_the_picture(lattice: Lattice, model: RodModel) -> None:
+    """It goes on in the next one."""
+    rest = rest_of(model)
+    with Renderer(lattice, model, (320, 240)) as renderer:
+        plain = renderer.update(rest)
+        changed = np.any(renderer.update(rest, text="travelling wave index 0.95 " * 5) != plain, axis=2)
+    rows, columns = np.nonzero(changed)
+    assert np.ptp(rows) > 12
+    assert 5 < columns.min() < 15
+    assert 220 < columns.max() < 318
+
+
+def test_each_muscle_has_its_own_colour(lattice: Lattice, model: RodModel) -> None:
+    """A muscle at the back is paler but shown; the order is that of the model's muscles."""
+    rest = rest_of(model)
+    sites = [lattice.site_position[[m.start, m.end]].mean(axis=0) for m in named_layout("all", lattice).active]
+    high = np.array([place[2] for place in sites]) > 0.06
+    with Renderer(lattice, model, (320, 240), view=rest, bare=True) as renderer:
+        top, bottom = (renderer.update(rest, mask.astype(float)) for mask in (high, ~high))
+    assert crimson(top[:110]) > 5 * crimson(top[130:])
+    assert crimson(bottom[130:]) > 5 * crimson(bottom[:110])
+
+
+def test_picture_depends_on_nothing_shown_before(lattice: Lattice, model: RodModel) -> None:
+    """A scene that was moved and moved back looks as before, and as one freshly built."""
+    rest, half = rest_of(model), np.full(model.n_muscle, 0.5)
+    with Renderer(lattice, model, SIZE) as renderer:
+        first = renderer.update(rest, half, 0.5, "a")
+        renderer.update(rest[:, [2, 0, 1]] * 3.0, np.ones(model.n_muscle), 9.0, "b")
+        again = renderer.update(rest, half, 0.5, "a")
+    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(first, render_frame(lattice, model, rest, half, 0.5, "a", SIZE))
+
+
+@pytest.mark.parametrize("size", [(160, 120), (200, 96), (96, 200)])
+def test_whole_worm_is_in_the_picture_and_fills_it(lattice: Lattice, model: RodModel, size: tuple[int, int]) -> None:
+    """The points to keep in view come close to an edge of the stage but cross none."""
+    shape = rest_of(model) * STRETCH
+    for view in (None, shape):
+        with Renderer(lattice, model, size, view=view, bare=True) as renderer:
+            rows, columns = np.nonzero(drawn(renderer.update(shape)))
+        low = np.array([rows.min() / size[1], columns.min() / size[0]])
+        high = np.array([rows.max() / size[1], columns.max() / size[0]])
+        assert low.min() > 0.0
+        assert high.max() < 0.995
+        assert max(high - low) > 0.85
+
+
+def test_scale_is_that_of_the_picture(lattice: Lattice, model: RodModel) -> None:
+    """The base plate measures its diameter times the stated scale."""
+    with Renderer(lattice, model, (400, 400), view=rest_of(model), bare=True) as renderer:
+        _, columns = np.nonzero(drawn(renderer.update(rest_of(model))))
+        diameter = 2 * scene.PLATE_RADIUS * lattice.design.diameter
+        assert np.ptp(columns) == pytest.approx(diameter * renderer.pixels_per_metre, rel=0.03)
+
+
+def test_colour_bar_is_the_muscles_scale(lattice: Lattice, model: RodModel) -> None:
+    """It runs from the colour of 1 at the top to that of 0; without muscles there is none."""
+    left, right, bottom, top = scene.BAR
+    picture = render_frame(lattice, model, rest_of(model), size=(320, 240))
+    bar = picture[round((1 - top) * 240) : round((1 - bottom) * 240), round((left + right) / 2 * 320)]
+    np.testing.assert_allclose(bar[[0, -1]], activation_colour([1.0, 0.0]), atol=0.51)
+    assert np.all(np.diff(bar.astype(int).sum(axis=1)) >= 0)
+    bald = build_model(lattice, MuscleLayout())
+    assert np.all(render_frame(lattice, bald, rest_of(bald), size=(320, 240))[:, 280:] == 255)
+
+
+def test_free_worm_has_no_plate() -> None:
+    """Only a clamped worm stands on a base."""
+    counts = []
+    for base in ("clamped", "free"):
+        lattice = build_lattice(LatticeDesign(elements_per_segment=1, base=base))
+        model = build_model(lattice, MuscleLayout())
+        with Renderer(lattice, model, SIZE, view=rest_of(model), bare=True) as renderer:
+            rows, columns = np.nonzero(drawn(renderer.update(rest_of(model))))
+        counts.append(np.ptp(columns[rows > 90]) / np.ptp(columns[rows < 60]))
+    assert counts[0] > 1.2 > counts[1]
+
+
+def test_wrong_arguments_are_refused(lattice: Lattice, model: RodModel) -> None:
+    """Each names itself."""
+    rest = rest_of(model)
+    sizes: list[Any] = [(0, 120), (160.0, 120), (160, 120, 3), (160, 5000)]
+    for size in sizes:
+        with pytest.raises(ValueError, match="size"):
+            Renderer(lattice, model, size)
+    for view in (np.zeros((0, 3)), np.zeros(3), np.full((2, 3), np.nan)):
+        with pytest.raises(ValueError, match="view"):
+            Renderer(lattice, model, SIZE, view=view)
+    with Renderer(lattice, model, SIZE) as renderer:
+        with pytest.raises(ValueError, match="position has shape"):
+            renderer.update(rest[1:])
+        with pytest.raises(ValueError, match="position: must be finite"):
+            renderer.update(np.where(rest > 0.05, np.nan, rest))
+        with pytest.raises(ValueError, match="activation has shape"):
+            renderer.update(rest, np.zeros(3))
+        with pytest.raises(ValueError, match=r"activation spans 0 to 1\.5"):
+            renderer.update(rest, np.linspace(0.0, 1.5, model.n_muscle))
+
+
+# The shapes
+
+
+@given(n_node=st.integers(3, 12), samples=st.integers(1, 6), data=st.data())
+@settings(max_examples=50, deadline=None)
+def test_spline_passes_through_nodes_and_keeps_lines(n_node: int, samples: int, data: st.DataObject) -> None:
+    """Weights sum to 1, nodes are met, and equal steps along a line stay so."""
+    matrix = shapes._spline(n_node, samples)
+    node = data.draw(hnp.arrays(np.float64, (n_node, 3), elements=st.floats(-1, 1)))
+    np.testing.assert_allclose((matrix @ node)[::samples], node, atol=1e-12)
+    np.testing.assert_allclose(matrix @ np.arange(n_node), np.arange(len(matrix)) / samples, atol=1e-12)
+
+
+def rod_model(n_elem: int = 4) -> RodModel:
+    """Two parallel rods of 0.1 m along x, radius 4 mm."""
+    material = {"radius": 4e-3, "density": 1e3, "youngs_modulus": 1e5, "shear_modulus": 4e4}
+    return RodModel(rods=tuple(straight_rod([0, y, 0], [0.1, y, 0], n_elem, **material) for y in (0.0, 0.05)))
+
+
+@pytest.mark.parametrize("stretch", [1.0, 1.44, 0.64])
+def test_tube_keeps_radius_volume_and_round_ends(stretch: float) -> None:
+    """A straight rod is a cylinder of the scaled radius, r sqrt(1/stretch), with caps one radius long."""
+    model = rod_model()
+    tubes = shapes.Tubes(model, [0, 1], 0.5, 8, 0.0)
+    tubes.update(rest_of(model) * [stretch, 1.0, 1.0])
+    point = np.asarray(tubes.mesh.points, dtype=np.float64).reshape(2, -1, 3)
+    normal = np.asarray(tubes.mesh.point_data["normal"])
+    radius = 2e-3 / np.sqrt(stretch)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-6)
+    for y, cloud in zip((0.0, 0.05), point, strict=True):
+        body = cloud[(cloud[:, 0] > -1e-9) & (cloud[:, 0] < 0.1 * stretch + 1e-9)]
+        np.testing.assert_allclose(np.hypot(body[:, 1] - y, body[:, 2]), radius, rtol=1e-5)
+        assert cloud[:, 0].min() == pytest.approx(-radius, rel=1e-5)
+        assert cloud[:, 0].max() == pytest.approx(0.1 * stretch + radius, rel=1e-5)
+
+
+def test_taper_thins_the_ends_only() -> None:
+    """The middle keeps its radius, the ends lose the share."""
+    model = rod_model()
+    tubes = shapes.Tubes(model, [0], 1.0, 8, 0.45)
+    tubes.update(rest_of(model))
+    point = np.asarray(tubes.mesh.points, dtype=np.float64)
+    radius = np.hypot(point[:, 1], point[:, 2])
+    np.testing.assert_allclose(radius[np.abs(point[:, 0] - 0.05) < 1e-6], 4e-3, rtol=1e-5)
+    np.testing.assert_allclose(radius[np.abs(point[:, 0]) < 1e-6], 0.55 * 4e-3, rtol=1e-5)
+
+
+@given(hnp.arrays(np.float64, (10, 3), elements=st.sampled_from([0.0, 1.0, -1.0, 1e-9, 0.3])))
+@settings(max_examples=100, deadline=None)
+def test_any_shape_makes_a_finite_mesh(position: FloatArray) -> None:
+    """Coinciding nodes, reversals and collapsed rods included."""
+    tubes = shapes.Tubes(rod_model(), [0, 1], 1.0, 8, 0.4)
+    tubes.update(position)
+    assert np.all(np.isfinite(tubes.mesh.points))
+    assert np.all(np.isfinite(tubes.mesh.point_data["normal"]))
+    assert np.max(np.abs(tubes.mesh.points)) < 5.0
+
+
+@given(st.floats(0.0, 0.99))
+@settings(max_examples=50, deadline=None)
+def test_more_activation_is_darker(activation: float) -> None:
+    """By an even step in the sum of the channels' light."""
+    light = activation_colour([activation, activation + 0.01]) @ [0.2126, 0.7152, 0.0722]
+    assert 0.5 < light[0] - light[1] < 4.0
+
+
+# Files
+
+
+def test_still_and_strip(lattice: Lattice, model: RodModel, tmp_path: Path) -> None:
+    """A strip of two is two pictures wide; a bent worm is drawn at the scale of a straight one."""
+    rest = rest_of(model)
+    render_still(lattice, model, rest, tmp_path / "one.png", np.ones(model.n_muscle), "rest")
+    stills = [Still(lattice=lattice, model=model, position=rest * k, title="x") for k in (STRETCH, np.ones(3))]
+    render_strip(stills, tmp_path / "two.png", size=(200, 240), dpi=100)
+    one, two = (imread(tmp_path / name) for name in ("one.png", "two.png"))
+    assert one.shape[0] > 840
+    assert two.shape[1] == 2 * 200 + 75
+    tops = [np.flatnonzero((two[32:, part, :3] < 0.9).any(axis=(1, 2)))[0] for part in (slice(0, 200), slice(200, 400))]
+    assert tops[0] + 50 < tops[1]
+    with pytest.raises(ValueError, match="stills"):
+        render_strip([], tmp_path / "none.png")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.png", "two.png"]
+
+
+@pytest.mark.parametrize(("most", "length"), [(0.05, 0.05), (0.0499, 0.02), (0.19, 0.1), (3.0, 2.0)])
+def test_scale_bar_is_a_round_length(most: float, length: float) -> None:
+    """The longest that fits."""
+    from lattice_gym.rendering.figures import _round_length
+
+    assert _round_length(most) == pytest.approx(length)
+
+
+def test_heat_map_shows_activation(trajectory: Trajectory, tmp_path: Path) -> None:
+    """Twice as many active muscles make twice as much dark area."""
+    plot_activation(trajectory, tmp_path / "half.png")
+    picture = imread(tmp_path / "half.png")[:, :, :3]
+    dark = np.all(np.abs(picture - activation_colour([1.0])[0] / 255) < 0.02, axis=2)
+    light = np.all(np.abs(picture - activation_colour([0.0])[0] / 255) < 0.02, axis=2)
+    assert dark.sum() / (dark.sum() + light.sum()) == pytest.approx(0.5, abs=0.02)
+
+
+def test_heat_map_of_one_frame_of_hand_tied_muscles(tmp_path: Path) -> None:
+    """A lattice with uneven phases has no levels, and one frame no step."""
+    phases = (0.0, 1.3, 3.1, 0.0, 1.3, 3.1)
+    lattice = build_lattice(LatticeDesign(n_pairs=3, phases=phases, period_ratio=2.0, structure_radius=2e-3))
+    layout = tie(lattice, [(0, 4), (1, 5)])
+    model = build_model(lattice, layout)
+    recorder = Recorder(lattice.design, layout, "x")
+    recorder.append(1.0, rest_of(model), [0.0, 1.0])
+    trajectory = recorder.build()
+    plot_activation(trajectory, tmp_path / "a.png")
+    assert imread(tmp_path / "a.png").std() > 0.05
+    render_video(trajectory, tmp_path / "a.mp4", size=(64, 64))
+    assert imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "a.mp4"))[0] == 1
+
+
+def test_heat_map_needs_a_muscle(lattice: Lattice, tmp_path: Path) -> None:
+    """Nothing is written without."""
+    model = build_model(lattice, MuscleLayout())
+    recorder = Recorder(lattice.design, MuscleLayout(), "x")
+    recorder.append(0.0, rest_of(model), [])
+    bald = recorder.build()
+    with pytest.raises(ValueError, match="no muscle is on"):
+        plot_activation(bald, tmp_path / "a.png")
+    assert not list(tmp_path.iterdir())
+
+
+# Videos
+
+
+@given(
+    steps=st.lists(st.floats(0.01, 0.5), min_size=1, max_size=20),
+    start=st.floats(-10, 10),
+    fps=st.one_of(st.none(), st.floats(5, 60)),
+    speed=st.floats(0.2, 5),
+)
+@settings(max_examples=200, deadline=None)
+def test_video_time_is_simulated_time(steps: list[float], start: float, fps: float | None, speed: float) -> None:
+    """Picture k shows the last frame recorded by time k speed / rate, and none is left after the end."""
+    time = np.asarray(start + np.cumsum([0.0, *steps]), dtype=np.float64)
+    shown, rate = video._schedule(time, fps, speed)
+    at = start + np.arange(len(shown)) * speed / rate
+    slack = 1e-5 * speed / rate
+    assert np.all(time[shown] <= at + slack)
+    assert np.all(at[shown < len(time) - 1] < time[shown[shown < len(time) - 1] + 1] + slack)
+    assert time[-1] - speed / rate - slack < at[-1] <= time[-1] + slack
+    if fps is None:
+        assert 10.0 - 1e-9 <= rate <= 60.0 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("step", "speed", "rate"), [(0.05, 1.0, 20.0), (0.05, 0.1, 10.0), (0.02, 1.0, 50.0), (1.0 / 60.0, 1.0, 60.0)]
+)
+def test_default_rate_shows_every_frame_equally_long(step: float, speed: float, rate: float) -> None:
+    """No judder where the recording is even."""
+    shown, got = video._schedule(np.linspace(0.0, 40 * step, 41), None, speed)
+    assert got == pytest.approx(rate)
+    assert set(np.bincount(shown)[:-1]) == {round(rate * step / speed)}
+
+
+def test_fast_recordings_are_thinned() -> None:
+    """100 frames a second make 50 pictures a second."""
+    shown, rate = video._schedule(np.linspace(0.0, 1.0, 101), None, 1.0)
+    assert rate == pytest.approx(50.0)
+    assert set(np.diff(shown)) == {2}
+
+
+def decode(path: Path) -> tuple[str, npt.NDArray[np.uint8]]:
+    """Return what ffmpeg says about a video of SIZE, and its pictures."""
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    ran = subprocess.run(command, capture_output=True, check=True)
+    return ran.stderr.decode(), np.frombuffer(ran.stdout, np.uint8).reshape(-1, SIZE[1], SIZE[0], 3)
+
+
+def test_video(trajectory: Trajectory, lattice: Lattice, model: RodModel, tmp_path: Path) -> None:
+    """It plays everywhere, in real time, and shows the frames in order."""
+    calls: list[tuple[int, int]] = []
+    path = tmp_path / "worm.mp4"
+    render_video(trajectory, path, size=SIZE, progress=lambda done, total: calls.append((done, total)))
+    facts, pictures = decode(path)
+    assert all(fact in facts for fact in ("Video: h264", "yuv420p", "160x120", "10 fps", "Duration: 00:00:00.70"))
+    assert calls == [(k + 1, 7) for k in range(7)]
+    with Renderer(lattice, model, SIZE, view=trajectory.position.reshape(-1, 3)) as renderer:
+        for k in (0, 6):
+            expected = renderer.update(
+                trajectory.position[k], trajectory.activation[k], trajectory.time[k], trajectory.outcome[k]
+            )
+            assert np.abs(pictures[k].astype(float) - expected).mean() < 6.0
+            assert np.abs(pictures[k].astype(float) - pictures[3]).mean() > 6.0
+    assert [p.name for p in tmp_path.iterdir()] == ["worm.mp4"]
+
+
+def test_slow_motion(trajectory: Trajectory, tmp_path: Path) -> None:
+    """At half speed a second lasts two."""
+    render_video(trajectory, tmp_path / "slow.mp4", fps=20.0, speed=0.5, size=(64, 64))
+    count, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "slow.mp4"))
+    assert count == 25
+    assert seconds == pytest.approx(1.25)
+
+
+def stop(done: int, total: int) -> None:
+    """End a video half-way."""
+    if done > total // 2:
+        raise KeyboardInterrupt
+
+
+def test_interrupted_video_leaves_nothing(trajectory: Trajectory, tmp_path: Path) -> None:
+    """Neither a half video nor a temporary file."""
+    with pytest.raises(KeyboardInterrupt):
+        render_video(trajectory, tmp_path / "worm.mp4", size=(64, 64), progress=stop)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [({"size": (161, 120)}, "size"), ({"speed": 0.0}, "speed"), ({"speed": np.nan}, "speed"), ({"fps": 0.5}, "fps")],
+)
+def test_wrong_video_arguments_are_refused(
+    trajectory: Trajectory, tmp_path: Path, arguments: dict[str, Any], name: str
+) -> None:
+    """Before anything is written."""
+    with pytest.raises(ValueError, match=name):
+        render_video(trajectory, tmp_path / "worm.mp4", **arguments)
+    assert not list(tmp_path.iterdir())
+
+
+# The machine
+
+
+def python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a fresh interpreter with no display."""
+    inherited = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "VTK_DEFAULT_OPENGL_WINDOW")}
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env={**inherited, **environment}, check=False
+    )
+
+
+DRAW = """
+from lattice_gym.design import LatticeDesign
+from lattice_gym.lattice import build_lattice
+from lattice_gym.model import build_model
+from lattice_gym.muscles import MuscleLayout
+from lattice_gym.rendering import render_frame
+lattice = build_lattice(LatticeDesign(elements_per_segment=1))
+model = build_model(lattice, MuscleLayout())
+print(render_frame(lattice, model, model.rest_state().position, size=(64, 64)).std() > 5)
+"""
+
+
+def test_no_display_no_complaint() -> None:
+    """A picture is drawn and nothing is said on stderr."""
+    ran = python(DRAW)
+    assert (ran.returncode, ran.stdout.strip(), ran.stderr) == (0, "True", "")
+
+
+def test_machine_that_cannot_draw_says_so() -> None:
+    """With no EGL driver and no OSMesa, VTK would crash; where the libraries are found after all, it draws."""
+    hide = "import ctypes\ndef missing(name, *a, **k): raise OSError(name)\nctypes.CDLL = missing\n"
+    nowhere = {"__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent", "__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}
+    ran = python("import numpy\n" + DRAW.replace("lattice =", hide + "lattice =", 1), **nowhere)
+    assert ran.stdout.strip() == "True" or "install EGL" in ran.stderr
+    assert ran.returncode in (0, 1)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="VTK falls back on OSMesa unasked on Linux only")
+def test_osmesa_is_found_by_loading_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any of its names will do, and none will not."""
+
+    def load(name: str) -> None:
+        if name != installed:
+            raise OSError(name)
+
+    monkeypatch.setattr(ctypes, "CDLL", load)
+    installed = "libOSMesa.so.6"
+    assert scene._has_osmesa()
+    installed = "libGL.so"
+    assert not scene._has_osmesa()
+
+
+def test_import_is_light() -> None:
+    """No drawing library is loaded before it is used."""
+    heavy = ("pyvista", "vtkmodules", "matplotlib", "imageio", "imageio_ffmpeg")
+    ran = python(f"import sys, lattice_gym.rendering; print([m for m in {heavy} if m in sys.modules])")
+    assert ran.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("missing", ["pyvista", "matplotlib.figure", "imageio_ffmpeg"])
+def test_missing_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, trajectory: Trajectory, tmp_path: Path, missing: str
+) -> None:
+    """The message says what to install."""
+    monkeypatch.setitem(sys.modules, missing, None)
+    write: Callable[..., None] = plot_activation if missing == "matplotlib.figure" else render_video
+    with pytest.raises(ImportError, match=r"pip install lattice_gym\[video\]"):
+        write(trajectory, tmp_path / "a")
+    assert not list(tmp_path.iterdir())
