@@ -17,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from matplotlib.image import imread
+from PIL import Image
 
 from lattice_gym.design import FloatArray, LatticeDesign
 from lattice_gym.lattice import Lattice, build_lattice
@@ -405,6 +406,19 @@ def test_slow_motion(trajectory: Trajectory, tmp_path: Path) -> None:
     count, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "slow.mp4"))
     assert count == 25
     assert seconds == pytest.approx(1.25)
+
+
+def test_gif(trajectory: Trajectory, tmp_path: Path) -> None:
+    """The suffix chooses an animated GIF: the same pictures at the same times, for ever."""
+    path = tmp_path / "worm.gif"
+    render_video(trajectory, path, size=SIZE)
+    render_video(trajectory, tmp_path / "worm.mp4", size=SIZE)
+    _, pictures = decode(tmp_path / "worm.mp4")
+    with Image.open(path) as animation:
+        assert (getattr(animation, "n_frames", 1), animation.info["loop"], animation.info["duration"]) == (7, 0, 100)
+        for k in (0, 6):
+            animation.seek(k)
+            assert np.abs(np.asarray(animation.convert("RGB"), float) - pictures[k]).mean() < 8.0
 
 
 def stop(done: int, total: int) -> None:

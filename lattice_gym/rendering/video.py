@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from lattice_gym.design import FloatArray, IntArray
 from lattice_gym.lattice import build_lattice
@@ -24,7 +28,9 @@ def render_video(
     progress: Callable[[int, int], None] | None = None,
     size: tuple[int, int] = (960, 720),
 ) -> None:
-    """Write an mp4 (H.264, yuv420p) in which speed seconds of simulated time pass in one second.
+    """Write a video in which speed seconds of simulated time pass in one second.
+
+    A path that ends in .gif gives an animated GIF, any other an mp4 (H.264, yuv420p).
 
     Each picture shows the frame last recorded by then. The default rate shows every frame once, where that makes 10 to
     60 pictures a second. Width and height must be even. ``progress`` is called with the numbers of pictures done and of
@@ -35,36 +41,71 @@ def render_video(
     if size[0] % 2 or size[1] % 2:
         raise ValueError(f"size = {size!r}: must be even, as the video's pixels share their colour in blocks of 2 x 2")
     shown, rate = _schedule(trajectory.time, fps, speed)
-    ffmpeg = extra("imageio_ffmpeg")
     lattice = build_lattice(trajectory.design)
     model = build_model(lattice, trajectory.layout)
     note = "" if speed == 1.0 else f"   [{speed:g} x real time]"
+    sink = _gif if Path(path).suffix.lower() == ".gif" else _mp4
     with (
         Renderer(lattice, model, size, view=trajectory.position.reshape(-1, 3)) as renderer,
         replacing(path) as temporary,
+        sink(temporary, size, rate) as write,
     ):
-        options = {"fps": rate, "codec": "libx264", "pix_fmt_out": "yuv420p", "macro_block_size": 2, "quality": 7}
-        options["output_params"] = ["-movflags", "+faststart", "-f", "mp4"]
-        writer = ffmpeg.write_frames(str(temporary), size, **options)
-        writer.send(None)
-        try:
-            last = -1
-            for k, frame in enumerate(shown.tolist()):
-                if frame != last:
-                    text = trajectory.outcome[frame] + note
-                    picture = renderer.update(
-                        trajectory.position[frame], trajectory.activation[frame], trajectory.time[frame], text
-                    )
-                    last = frame
-                writer.send(picture)
-                if progress:
-                    progress(k + 1, len(shown))
-        finally:
-            writer.close()
-        # ffmpeg's own end, on a full disk for one, is told to nobody.
-        written, _ = ffmpeg.count_frames_and_secs(str(temporary))
-        if written != len(shown):
-            raise RuntimeError(f"{path}: ffmpeg wrote {written} of {len(shown)} pictures")
+        last = -1
+        for k, frame in enumerate(shown.tolist()):
+            if frame != last:
+                text = trajectory.outcome[frame] + note
+                picture = renderer.update(
+                    trajectory.position[frame], trajectory.activation[frame], trajectory.time[frame], text
+                )
+                last = frame
+            write(picture)
+            if progress:
+                progress(k + 1, len(shown))
+
+
+Picture = npt.NDArray[np.uint8]
+
+
+@contextmanager
+def _mp4(path: Path, size: tuple[int, int], rate: float) -> Iterator[Callable[[Picture], object]]:
+    options: dict[str, Any] = {
+        "fps": rate,
+        "codec": "libx264",
+        "pix_fmt_out": "yuv420p",
+        "macro_block_size": 2,
+        "quality": 7,
+    }
+    options["output_params"] = ["-movflags", "+faststart", "-f", "mp4"]
+    ffmpeg = extra("imageio_ffmpeg")
+    writer = ffmpeg.write_frames(str(path), size, **options)
+    writer.send(None)
+    sent = 0
+
+    def write(picture: Picture) -> None:
+        nonlocal sent
+        writer.send(picture)
+        sent += 1
+
+    try:
+        yield write
+    finally:
+        writer.close()
+    # ffmpeg's own end, on a full disk for one, is told to nobody.
+    written, _ = ffmpeg.count_frames_and_secs(str(path))
+    if written != sent:
+        raise RuntimeError(f"ffmpeg wrote {written} of {sent} pictures")
+
+
+@contextmanager
+def _gif(path: Path, size: tuple[int, int], rate: float) -> Iterator[Callable[[Picture], object]]:
+    """Hold the pictures until the last: all share one palette, which keeps colours still and the file small."""
+    image = extra("PIL.Image")
+    pictures: list[Picture] = []
+    yield pictures.append
+    frames = [image.fromarray(picture) for picture in pictures]
+    palette = image.fromarray(np.concatenate(pictures[:: max(1, len(pictures) // 4)])).quantize(96)
+    few = [frame.quantize(palette=palette, dither=0) for frame in frames]
+    few[0].save(path, format="GIF", save_all=True, append_images=few[1:], duration=round(1000.0 / rate), loop=0)
 
 
 def _schedule(time: FloatArray, fps: float | None, speed: float) -> tuple[IntArray, float]:
