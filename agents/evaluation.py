@@ -1,0 +1,207 @@
+"""A trained policy beside doing nothing, random actions and a hand-made gait: `python -m agents.evaluation RUN`."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import tyro
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from agents import run_folder
+from agents.config import InputError, errors_as_messages
+from agents.environments import Env, make_env
+from agents.run_folder import Run
+from agents.training import load_model, load_normaliser
+from lattice_gym.gaits import gait, grouped
+
+PolicyName = Literal["policy", "gait", "nothing", "random"]
+POLICIES: dict[PolicyName, str] = {
+    "policy": "trained policy",
+    "gait": "hand-made gait",
+    "nothing": "do nothing",
+    "random": "random actions",
+}
+
+Action = npt.NDArray[np.float32]
+Act = Callable[[Any], Action]
+"""Observation -> action in [-1, 1]."""
+Start = Callable[[Env, int], Act]
+"""(environment just reset, seed of the episode) -> what acts in this episode."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What the reset (reward 0) or one control step gave."""
+
+    reward: float
+    info: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Score:
+    """Episodes of one policy: mean and population standard deviation of the return, means of the outcome."""
+
+    returns: tuple[float, ...]
+    outcome_mean: dict[str, float]
+    outcome_std: dict[str, float]
+    diverged_episodes: int
+
+    @property
+    def return_mean(self) -> float:
+        """Mean return of an episode."""
+        return float(np.mean(self.returns))
+
+    @property
+    def return_std(self) -> float:
+        """Standard deviation of the return over episodes."""
+        return float(np.std(self.returns))
+
+
+def make_policy(name: PolicyName, run: Run, env: Env) -> Start:
+    """Policy by its name; raises InputError if the run's model cannot be read or the name is unknown."""
+    if name == "policy":
+        return trained_policy(run, env)
+    baselines: dict[str, Start] = {"gait": hand_made_gait, "nothing": do_nothing, "random": random_actions}
+    if name not in baselines:
+        raise InputError(f"policy = {name!r}: must be one of {', '.join(POLICIES)}")
+    return baselines[name]
+
+
+def trained_policy(run: Run, env: Env) -> Start:
+    """Let the run's model act, without exploration and with its normalisation frozen."""
+    normaliser = load_normaliser(run.path / run_folder.NORMALISATION, DummyVecEnv([lambda: env]))
+    normaliser.training = False
+    model = load_model(run.path / run_folder.MODEL, normaliser)
+
+    def act(observation: Any) -> Action:
+        return model.predict(normaliser.normalize_obs(observation), deterministic=True)[0]
+
+    return lambda _env, _seed: act
+
+
+def do_nothing(env: Env, _seed: int) -> Act:
+    """Every muscle off."""
+    action = np.full(env.action_space.shape or (), -1.0, dtype=np.float32)
+    return lambda _observation: action
+
+
+def random_actions(env: Env, seed: int) -> Act:
+    """Every action uniform and independent."""
+    generator = np.random.default_rng(seed)
+    shape = env.action_space.shape
+    return lambda _observation: generator.uniform(-1.0, 1.0, shape).astype(np.float32)
+
+
+def hand_made_gait(env: Env, _seed: int) -> Act:
+    """Play the task's open-loop gait; muscles that share an action get the mean over them."""
+    worm: Any = env.unwrapped
+    activation = gait(worm.task.name, worm.lattice, worm.layout, worm.task.command)
+
+    def act(_observation: Any) -> Action:
+        return (2.0 * grouped(activation(worm.time), worm.groups) - 1.0).astype(np.float32)
+
+    return act
+
+
+def play(env: Env, start: Start, seed: int) -> Iterator[Step]:
+    """One seeded episode: its start, then step by step."""
+    observation, info = env.reset(seed=seed)
+    act = start(env, seed)
+    yield Step(0.0, info)
+    done = False
+    while not done:
+        observation, reward, terminated, truncated, info = env.step(act(observation))
+        done = terminated or truncated
+        yield Step(float(reward), info)
+
+
+def score(env: Env, start: Start, seeds: range) -> Score:
+    """Play one episode a seed."""
+    returns: list[float] = []
+    outcomes: list[dict[str, float]] = []
+    diverged = 0
+    for seed in seeds:
+        steps = list(play(env, start, seed))
+        returns.append(sum(step.reward for step in steps))
+        outcomes.append(dict(steps[-1].info["outcome"]))
+        diverged += steps[-1].info["status"] != "ok"
+    table = {name: [outcome[name] for outcome in outcomes] for name in outcomes[0]}
+    return Score(
+        tuple(returns),
+        {name: float(np.mean(values)) for name, values in table.items()},
+        {name: float(np.std(values)) for name, values in table.items()},
+        diverged,
+    )
+
+
+def evaluate(path: Path, episodes: int = 10, seed: int = 1000, command: str = "") -> dict[PolicyName, Score]:
+    """Score every policy on the same seeds and write evaluation.json; raises InputError on a damaged run folder."""
+    if episodes < 1:
+        raise InputError(f"episodes = {episodes}: must be 1 or more")
+    if seed < 0:
+        raise InputError(f"seed = {seed}: must be 0 or more")
+    run = Run.open(path)
+    sessions = run_folder.read_sessions(path / run_folder.VERSIONS)
+    env = make_env(run.env_arguments)
+    seeds = range(seed, seed + episodes)
+    starts = {name: make_policy(name, run, env) for name in POLICIES}
+    scores = {name: score(env, start, seeds) for name, start in starts.items()}
+    env.close()
+    report = {
+        "made": run_folder.made_by(command),
+        "trained_with": sessions,
+        "task": run.config.task,
+        "seeds": list(seeds),
+        "policies": {
+            name: asdict(result) | {"return_mean": result.return_mean, "return_std": result.return_std}
+            for name, result in scores.items()
+        },
+    }
+    run_folder.write_json(path / run_folder.EVALUATION, report)
+    return scores
+
+
+def format_scores(scores: Mapping[PolicyName, Score]) -> str:
+    """Scores as a plain text table, mean +- standard deviation over episodes."""
+    outcomes = list(next(iter(scores.values())).outcome_mean)
+    rows = [["", "return", *outcomes, "diverged"]]
+    for name, result in scores.items():
+        cells = [f"{result.outcome_mean[o]:.3f} +- {result.outcome_std[o]:.3f}" for o in outcomes]
+        mean = f"{result.return_mean:.3f} +- {result.return_std:.3f}"
+        rows.append([POLICIES[name], mean, *cells, f"{result.diverged_episodes} of {len(result.returns)}"])
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
+
+
+def main(
+    run: Annotated[Path, tyro.conf.Positional],
+    episodes: int = 10,
+    seed: int = 1000,
+) -> None:
+    """Print mean and spread of return and outcome over seeded episodes, the same for every policy.
+
+    Parameters
+    ----------
+    run
+        Run folder of `python train.py`.
+    episodes
+        Episodes of each policy.
+    seed
+        Seed of the first episode; the next one has seed + 1.
+    """
+    command = shlex.join(["python", "-m", "agents.evaluation", *sys.argv[1:]])
+    scores = evaluate(run, episodes, seed, command)
+    print(format_scores(scores))
+    print(f"\nmean +- standard deviation over {episodes} episodes; written to {run / run_folder.EVALUATION}")
+
+
+if __name__ == "__main__":
+    with errors_as_messages():
+        tyro.cli(main)

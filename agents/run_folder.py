@@ -1,0 +1,218 @@
+"""The run folder: what training leaves on disk, and how it is read back.
+
+config.json      settings (`TrainConfig.to_dict`)
+versions.json    Python, packages and commit of every session that trained the run
+design.json      LatticeDesign
+muscles.json     MuscleLayout
+model.zip        policy and optimiser of the newest checkpoint
+vecnormalize.pkl means and spreads of observations and rewards that belong to model.zip
+progress.csv     one row an update
+checkpoints/     the newest few pairs of model.zip and vecnormalize.pkl, each in a folder named by its steps
+tensorboard/     the same numbers as progress.csv, for TensorBoard
+
+Models and normalisations are pickles: open only runs that you trust.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from agents.config import InputError, TrainConfig
+from lattice_gym.design import LatticeDesign
+from lattice_gym.lattice import build_lattice
+from lattice_gym.muscles import MuscleLayout, resolve_layout
+from lattice_gym.reports.provenance import PACKAGES, provenance
+from lattice_gym.trajectory import replacing
+
+CONFIG = "config.json"
+VERSIONS = "versions.json"
+DESIGN = "design.json"
+MUSCLES = "muscles.json"
+MODEL = "model.zip"
+NORMALISATION = "vecnormalize.pkl"
+PROGRESS = "progress.csv"
+CHECKPOINTS = "checkpoints"
+TENSORBOARD = "tensorboard"
+EVALUATION = "evaluation.json"
+
+T = TypeVar("T")
+
+STEPS = "time/total_timesteps"
+_KEPT = 3
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run folder that has been read: its settings, and the arguments that rebuild its environment."""
+
+    path: Path
+    config: TrainConfig
+    env_arguments: dict[str, Any]
+
+    @classmethod
+    def open(cls, path: Path) -> Run:
+        """Read settings, design and muscles; raises InputError that names the missing or damaged file."""
+        if not path.is_dir():
+            raise InputError(f"{path}: no such run folder")
+        config = read_file(path / CONFIG, lambda file: TrainConfig.from_dict(_parse_json(file)))
+        design = read_file(path / DESIGN, _parse_design)
+        layout = read_file(path / MUSCLES, lambda file: resolve_layout(_parse_json(file), build_lattice(design)))
+        return cls(path, config, env_arguments(config, design, layout))
+
+    def rows(self) -> list[dict[str, float]]:
+        """Rows of progress.csv; what an update did not log is absent from its row."""
+        return read_file(self.path / PROGRESS, read_rows)
+
+    @property
+    def steps(self) -> int:
+        """Environment steps of the newest checkpoint; 0 before the first."""
+        checkpoints = self.checkpoints()
+        return int(checkpoints[0].name) if checkpoints else 0
+
+    def checkpoints(self) -> list[Path]:
+        """Folders of the complete checkpoints, newest first."""
+        folders = (self.path / CHECKPOINTS).glob("[0-9]*")
+        return sorted((f for f in folders if f.name.isdigit()), key=lambda folder: int(folder.name), reverse=True)
+
+
+def env_arguments(
+    config: TrainConfig, design: LatticeDesign | None, muscles: MuscleLayout | str | None
+) -> dict[str, Any]:
+    """JSON-safe arguments of `gymnasium.make` for a run's environment."""
+    return {
+        "id": f"lattice_gym:LatticeWorm{config.task.capitalize()}-v0",
+        "design": None if design is None else design.to_dict(),
+        "muscles": muscles.to_dict() if isinstance(muscles, MuscleLayout) else muscles,
+        "control": config.driven,
+        "rhythm": config.rhythm,
+        "engine": config.engine,
+        "control_dt": config.control_dt,
+        "observation": config.observation,
+    }
+
+
+def requested_arguments(config: TrainConfig) -> dict[str, Any]:
+    """Environment arguments of a new run, with the design and muscles that the settings name."""
+    design = None if config.design is None else read_file(config.design, _parse_design)
+    muscles: MuscleLayout | str | None = config.muscles
+    if config.muscles is not None and config.muscles.endswith(".json"):
+        muscles = read_file(Path(config.muscles), lambda file: MuscleLayout.from_dict(_parse_json(file)))
+    return env_arguments(config, design, muscles)
+
+
+def save_checkpoint(run: Path, steps: int, files: Mapping[str, Callable[[Path], object]]) -> None:
+    """Write one checkpoint whole or not at all, copy it to the run folder and drop the oldest.
+
+    `files` maps a file name to what writes that file.
+    """
+    folder = run / CHECKPOINTS / f"{steps:012d}"
+    unfinished = folder.with_name(f"unfinished-{folder.name}")
+    shutil.rmtree(unfinished, ignore_errors=True)
+    for name, write in files.items():
+        write_whole(unfinished / name, write)
+    shutil.rmtree(folder, ignore_errors=True)
+    unfinished.rename(folder)
+    for name in files:
+        write_whole(run / name, partial(shutil.copyfile, folder / name))
+    for old in sorted(folder.parent.glob("[0-9]*"))[:-_KEPT]:
+        shutil.rmtree(old)
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file whole or not at all, its folder if need be: beside its place, to the disk, then renamed."""
+    with replacing(path) as unfinished:
+        write(unfinished)
+        with unfinished.open("rb") as file:
+            os.fsync(file.fileno())
+
+
+def write_json(path: Path, values: object) -> None:
+    """Write JSON whole or not at all; NaN is an error."""
+    text = json.dumps(values, indent=1, allow_nan=False) + "\n"
+    write_whole(path, lambda unfinished: unfinished.write_text(text, encoding="utf-8"))
+
+
+def read_json(path: Path) -> Any:
+    """Value of a JSON file; raises InputError that names the file if it is missing or damaged."""
+    return read_file(path, _parse_json)
+
+
+def read_sessions(path: Path) -> list[dict[str, Any]]:
+    """Sessions of versions.json; raises InputError that names the file."""
+
+    def read(file: Path) -> list[dict[str, Any]]:
+        sessions = _parse_json(file)
+        if not isinstance(sessions, list) or not all(isinstance(session, dict) for session in sessions):
+            raise ValueError("not a list of sessions")
+        return sessions
+
+    return read_file(path, read)
+
+
+def read_rows(path: Path) -> list[dict[str, float]]:
+    """Rows of a CSV file of numbers, without the cells that are empty."""
+    with path.open(newline="", encoding="utf-8") as file:
+        table = csv.DictReader(file, strict=True)
+        rows = list(table)
+    if STEPS not in (table.fieldnames or ()) or not rows:
+        raise ValueError(f"no column {STEPS}, or no row")
+    if any(None in row or None in row.values() or not row[STEPS] for row in rows):
+        raise ValueError("a row that does not fit the columns")
+    return [{name: float(cell) for name, cell in row.items() if cell} for row in rows]
+
+
+def write_rows(path: Path, rows: list[dict[str, float]]) -> None:
+    """Write `read_rows`' rows whole or not at all; a column for every name in any row."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+
+    def write(unfinished: Path) -> None:
+        with unfinished.open("w", newline="", encoding="utf-8") as file:
+            table = csv.DictWriter(file, names)
+            table.writeheader()
+            table.writerows(rows)
+
+    write_whole(path, write)
+
+
+def made_by(command: str) -> dict[str, Any]:
+    """Command, date, processor, versions and, in a git checkout, the commit."""
+    made = provenance(command, (*PACKAGES, "stable_baselines3", "torch"))
+    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=40"]
+    with contextlib.suppress(OSError, subprocess.CalledProcessError):  # a copy without git has no commit
+        made["commit"] = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
+    return made
+
+
+def session(steps: int) -> dict[str, Any]:
+    """Entry of versions.json for training that starts now, after so many environment steps."""
+    made = made_by("")
+    del made["command"]  # it may name places on this machine
+    return {"from_step": steps} | made
+
+
+def _parse_json(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _parse_design(path: Path) -> LatticeDesign:
+    return LatticeDesign.from_dict(_parse_json(path))
+
+
+def read_file(path: Path, read: Callable[[Path], T]) -> T:
+    """Read a file; whatever goes wrong becomes an InputError that names the file."""
+    try:
+        return read(path)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except Exception as error:
+        raise InputError(f"{path}: damaged or not of this kind: {error}") from error

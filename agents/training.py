@@ -1,0 +1,281 @@
+"""PPO training that writes a run folder, survives being killed and continues where it stopped."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from datetime import datetime
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.utils import LinearSchedule
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from tqdm import tqdm
+
+from agents import run_folder
+from agents.config import InputError, TrainConfig
+from agents.environments import make_env, make_vector_env
+from agents.run_folder import Run, read_file
+from lattice_gym.trajectory import replacing
+
+_LINE_EVERY = 10.0
+"""Least time between two lines of progress where there is no terminal [s]."""
+_DIVERGED = "worm/diverged_episodes"
+_MAY_CHANGE = ("total_steps", "time_limit", "design", "muscles", "run_dir", "resume")
+
+
+def train(config: TrainConfig) -> Path:
+    """Train, or continue `config.resume`, until total_steps, time_limit or ctrl-C; returns the run folder.
+
+    Training ends with a whole update, so it may take up to n_envs * n_steps - 1 steps more than asked for. Raises
+    InputError if the settings, the design or the run folder cannot be used.
+    """
+    began = time.monotonic()
+    torch.set_num_threads(config.torch_threads)
+    run = create_run(config) if config.resume is None else reopen_run(config)
+    print(f"{run.path}: {run.steps} of {config.total_steps} steps done", flush=True)
+    if run.steps >= config.total_steps:
+        return run.path
+    venv = make_vector_env(run.env_arguments, config.n_envs)
+    try:
+        model = restored_model(run, venv) if run.steps else new_model(config, venv)
+        log = TrainingLog(run, model, began)
+        with _stop_on_signal(log):
+            model.learn(config.total_steps - model.num_timesteps, callback=log, reset_num_timesteps=False)
+        log.save()
+        model.logger.close()
+    finally:
+        venv.close()
+    if log.stop_reason is not None:
+        print(f"stopped by {log.stop_reason}; continue with: python train.py --resume {run.path}", flush=True)
+    return run.path
+
+
+def create_run(config: TrainConfig) -> Run:
+    """Make the run folder with everything but a model; raises InputError if it exists or the worm cannot be built."""
+    path = config.run_dir or Path("runs") / f"{config.task}-{config.seed}-{datetime.now():%Y%m%d-%H%M%S}"
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"run_dir = {path}: must be a new or empty folder; to continue that run give --resume {path}")
+    env = make_env(run_folder.requested_arguments(config))
+    worm: Any = env.unwrapped
+    env.close()
+    with replacing(path) as unfinished:
+        run_folder.write_json(unfinished / run_folder.DESIGN, worm.design.to_dict())
+        run_folder.write_json(unfinished / run_folder.MUSCLES, worm.layout.to_dict())
+        run_folder.write_json(unfinished / run_folder.VERSIONS, [run_folder.session(0)])
+        run_folder.write_json(unfinished / run_folder.CONFIG, config.to_dict())
+    return Run.open(path)
+
+
+def resume_settings(path: Path) -> TrainConfig:
+    """Read the settings with which `train` continues a run folder; total_steps and time_limit may be replaced."""
+    return replace(Run.open(path).config, resume=path)
+
+
+def reopen_run(config: TrainConfig) -> Run:
+    """Open `config.resume` to continue it; raises InputError if a setting differs from the run's own."""
+    assert config.resume is not None
+    run = Run.open(config.resume)
+    for field in fields(config):
+        given, stored = getattr(config, field.name), getattr(run.config, field.name)
+        if field.name not in _MAY_CHANGE and given != stored:
+            raise InputError(f"{field.name} = {given!r}: must be {stored!r}, as {run.path} keeps its settings")
+    if config.design is not None or config.muscles is not None or config.run_dir is not None:
+        raise InputError(f"design, muscles, run_dir: must not be given with --resume, as {run.path} keeps its own")
+    run_folder.write_json(run.path / run_folder.CONFIG, config.to_dict())
+    return replace(run, config=config)
+
+
+def new_model(config: TrainConfig, venv: VecEnv) -> PPO:
+    """Untrained PPO on worms whose observations and rewards are normalised."""
+    rate = config.learning_rate
+    return PPO(
+        "MlpPolicy",
+        VecNormalize(venv, gamma=config.gamma),
+        learning_rate=LinearSchedule(rate, 0.0, 1.0) if config.anneal else rate,
+        n_steps=config.n_steps,
+        batch_size=config.batch_size,
+        n_epochs=config.n_epochs,
+        gamma=config.gamma,
+        gae_lambda=config.gae_lambda,
+        clip_range=config.clip_range,
+        ent_coef=config.entropy_coefficient,
+        vf_coef=config.value_coefficient,
+        max_grad_norm=config.max_gradient_norm,
+        use_sde=config.gsde,
+        policy_kwargs={"net_arch": list(config.hidden_sizes), "log_std_init": config.log_std_init},
+        seed=config.seed,
+        device="cpu",
+    )
+
+
+def restored_model(run: Run, venv: VecEnv) -> PPO:
+    """Model of the newest checkpoint that can be read, with noise of its own; raises InputError if there is none."""
+    damaged: list[Path] = []
+    trouble = InputError(f"{run.path / run_folder.CHECKPOINTS}: no checkpoint to continue from")
+    for folder in run.checkpoints():
+        try:
+            normaliser = load_normaliser(folder / run_folder.NORMALISATION, venv)
+            model = load_model(folder / run_folder.MODEL, normaliser)
+        except InputError as error:
+            damaged.append(folder)
+            trouble = error
+            continue
+        for other in damaged:
+            aside = other.rename(other.with_name(f"damaged-{other.name}"))
+            print(f"continuing from an older checkpoint, {folder}: the newer {aside} cannot be read", file=sys.stderr)
+        noise = np.random.SeedSequence([run.config.seed, model.num_timesteps]).generate_state(1)
+        model.set_random_seed(int(noise[0]))
+        path = run.path / run_folder.VERSIONS
+        run_folder.write_json(path, [*run_folder.read_sessions(path), run_folder.session(model.num_timesteps)])
+        return model
+    raise trouble
+
+
+def load_model(path: Path, env: VecEnv) -> PPO:
+    """PPO of a model.zip, ready to act in `env`; raises InputError that names the file."""
+    model = read_file(path, lambda file: PPO.load(file, env=env, device="cpu"))
+    if not all(bool(torch.isfinite(values).all()) for values in model.policy.state_dict().values()):
+        raise InputError(f"{path}: damaged or not of this kind: a weight is not finite")
+    return model
+
+
+def load_normaliser(path: Path, venv: VecEnv) -> VecNormalize:
+    """Normalisation of a vecnormalize.pkl around `venv`; raises InputError that names the file."""
+
+    def read(file: Path) -> VecNormalize:
+        normaliser = VecNormalize.load(str(file), venv)
+        if not isinstance(normaliser, VecNormalize) or not isinstance(normaliser.obs_rms, RunningMeanStd):
+            raise ValueError(f"holds {type(normaliser).__name__}: must be VecNormalize of one observation array")
+        for moments in (normaliser.obs_rms, normaliser.ret_rms):
+            if not (np.isfinite(moments.mean).all() and np.isfinite(moments.var).all()):
+                raise ValueError("a mean or variance is not finite")
+        return normaliser
+
+    return read_file(path, read)
+
+
+class TrainingLog(BaseCallback):
+    """Writes logs, checkpoints and progress of a run, and ends it between two updates when asked to."""
+
+    model: PPO
+
+    def __init__(self, run: Run, model: PPO, began: float) -> None:
+        """Give the model a log that continues the run's progress.csv from the model's steps."""
+        super().__init__()
+        path = run.path / run_folder.PROGRESS
+        rows = [row for row in run.rows() if row[run_folder.STEPS] <= model.num_timesteps] if path.exists() else []
+        board = TensorBoardOutputFormat(str(run.path / run_folder.TENSORBOARD))
+        model.set_logger(Logger(str(run.path), [ProgressTable(path, rows), board]))
+        self.model = model
+        self.stop_reason: str | None = None
+        self._run = run
+        self._began = began
+        self._line_at = began
+        self._saved_at = model.num_timesteps
+        self._diverged = int(rows[-1].get(_DIVERGED, 0)) if rows else 0
+        self._finished: list[dict[str, Any]] = []
+
+    def save(self) -> None:
+        """Write a checkpoint of the model as it is now."""
+        normaliser = self.model.get_env()
+        assert isinstance(normaliser, VecNormalize)
+        files = {
+            run_folder.MODEL: self.model.save,
+            run_folder.NORMALISATION: lambda path: normaliser.save(str(path)),
+        }
+        self._saved_at = self.model.num_timesteps
+        run_folder.save_checkpoint(self._run.path, self._saved_at, files)
+
+    def _on_training_start(self) -> None:
+        total = self._run.config.total_steps
+        hidden = not sys.stderr.isatty()
+        self._bar = tqdm(total=total, initial=self.model.num_timesteps, unit="step", disable=hidden)
+
+    def _on_rollout_start(self) -> None:
+        if self.model.num_timesteps - self._saved_at >= self._run.config.checkpoint_every:
+            self.save()
+        limit = self._run.config.time_limit
+        if limit is not None and time.monotonic() - self._began > limit:
+            self.stop_reason = f"time limit of {limit:g} s"
+
+    def _on_step(self) -> bool:
+        for info, done in zip(self.locals["infos"], self.locals["dones"], strict=True):
+            if done:
+                self._finished.append(info)
+                self._diverged += info["status"] != "ok"
+        self._bar.update(self.locals["env"].num_envs)
+        return self.stop_reason is None
+
+    def _on_rollout_end(self) -> None:
+        returns = [info["episode"]["r"] for info in self._finished]
+        if returns:
+            self.logger.record("worm/return_mean", float(np.mean(returns)))
+            self.logger.record("worm/return_std", float(np.std(returns)))
+            for name in self._finished[0]["outcome"]:
+                outcomes = [info["outcome"][name] for info in self._finished]
+                self.logger.record(f"worm/outcome_{name}", float(np.mean(outcomes)))
+        self.logger.record(_DIVERGED, self._diverged)
+        self._finished.clear()
+        if returns and self._bar.disable and time.monotonic() - self._line_at > _LINE_EVERY:
+            self._line_at = time.monotonic()
+            seconds = self._line_at - self._began
+            print(
+                f"{seconds:6.0f} s  {self.num_timesteps:8d} of {self._run.config.total_steps} steps"
+                f"  return {np.mean(returns):8.3f}  diverged {self._diverged}",
+                flush=True,
+            )
+        elif returns:
+            self._bar.set_postfix({"return": f"{np.mean(returns):.3f}", "diverged": self._diverged})
+
+    def _on_training_end(self) -> None:
+        self._bar.close()
+
+
+class ProgressTable(KVWriter):
+    """progress.csv, whole on the disk at any time; continues from the rows given."""
+
+    def __init__(self, path: Path, rows: list[dict[str, float]]) -> None:
+        self._path = path
+        self._rows = rows
+
+    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
+        """Add one row; `step` is in it as time/total_timesteps."""
+        values = filter_excluded_keys(key_values, key_excluded, "csv")
+        self._rows.append({name: float(value) for name, value in values.items()} | {run_folder.STEPS: step})
+        run_folder.write_rows(self._path, self._rows)
+
+    def close(self) -> None:
+        """Nothing is open between two rows."""
+
+
+@contextmanager
+def _stop_on_signal(log: TrainingLog) -> Iterator[None]:
+    """Let ctrl-C or a termination signal end the training in good order; a second one ends it at once."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if log.stop_reason is not None:
+            signal.default_int_handler(number, frame)
+        log.stop_reason = signal.Signals(number).name
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

@@ -1,0 +1,432 @@
+"""Training, evaluation, rollouts, benchmark and demo, end to end with tiny runs."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from agents import demo as demo_module
+from agents import run_folder
+from agents.benchmark import BenchmarkConfig, benchmark
+from agents.config import InputError, TrainConfig
+from agents.environments import make_env, make_vector_env
+from agents.evaluation import POLICIES, evaluate, format_scores, hand_made_gait, make_policy, play, score
+from agents.rollouts import export, record
+from agents.run_folder import Run
+from agents.training import resume_settings, train
+from lattice_gym.design import LatticeDesign
+from lattice_gym.gaits import gait
+from lattice_gym.rendering.extras import extra
+from lattice_gym.trajectory import Trajectory
+
+ROOT = Path(__file__).parent.parent
+TINY = TrainConfig(
+    task="extension", total_steps=160, seed=3, n_envs=1, n_steps=80, batch_size=40, n_epochs=2, checkpoint_every=80
+)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Run folder of a tiny finished run; tests that change it copy it first."""
+    return train(replace(TINY, run_dir=tmp_path_factory.mktemp("runs") / "tiny"))
+
+
+@pytest.fixture
+def copy(finished: Path, tmp_path: Path) -> Path:
+    """Copy of the finished run that a test may damage."""
+    return Path(shutil.copytree(finished, tmp_path / "copy"))
+
+
+# Training
+
+
+def test_run_folder_is_complete(finished: Path) -> None:
+    """Everything needed to rebuild and judge the run is there, and no path of this machine."""
+    assert {file.name for file in finished.iterdir()} >= {
+        "config.json",
+        "versions.json",
+        "design.json",
+        "muscles.json",
+        "model.zip",
+        "vecnormalize.pkl",
+        "progress.csv",
+        "checkpoints",
+        "tensorboard",
+    }
+    run = Run.open(finished)
+    assert run.config == TINY
+    assert run.steps == 160
+    assert [folder.name for folder in run.checkpoints()] == ["000000000160", "000000000080"]
+    assert LatticeDesign.from_dict(json.loads((finished / "design.json").read_text())) == LatticeDesign()
+    assert len(json.loads((finished / "muscles.json").read_text())["muscles"]) == 48
+    (session,) = json.loads((finished / "versions.json").read_text())
+    assert session["versions"]["torch"].startswith("2.")
+    assert str(ROOT) not in json.dumps(session)
+    assert list((finished / "tensorboard").glob("events*"))
+
+
+def test_progress_is_logged(finished: Path) -> None:
+    """One row an update, with what the worms achieved."""
+    with (finished / "progress.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(float(row["time/total_timesteps"])) for row in rows] == [80, 160]
+    assert float(rows[-1]["worm/diverged_episodes"]) == 0.0
+    assert float(rows[-1]["worm/return_std"]) > 0.0
+    assert float(rows[-1]["worm/outcome_strain"]) > 0.0
+
+
+def test_same_seed_gives_the_same_policy(finished: Path, tmp_path: Path) -> None:
+    """Training repeats to the last bit with its seed, and only with it."""
+    again = train(replace(TINY, run_dir=tmp_path / "again"))
+    other = train(replace(TINY, run_dir=tmp_path / "other", seed=4))
+    action = {path: _first_action(path) for path in (finished, again, other)}
+    np.testing.assert_array_equal(action[finished], action[again])
+    assert not np.array_equal(action[finished], action[other])
+
+
+def _first_action(path: Path) -> Any:
+    run = Run.open(path)
+    env = make_env(run.env_arguments)
+    observation, _ = env.reset(seed=0)
+    return make_policy("policy", run, env)(env, 0)(observation)
+
+
+def test_resume_continues_with_the_same_settings(copy: Path) -> None:
+    """Steps, log and sessions go on where they stopped."""
+    before = (copy / "progress.csv").read_text().splitlines()
+    train(replace(resume_settings(copy), total_steps=240))
+    run = Run.open(copy)
+    assert run.steps == 240
+    assert run.config == replace(TINY, total_steps=240)
+    assert [row["time/total_timesteps"] for row in run.rows()] == [80, 160, 240]
+    assert (copy / "progress.csv").read_text().splitlines()[1].split(",")[:5] == before[1].split(",")[:5]
+    assert [session["from_step"] for session in json.loads((copy / "versions.json").read_text())] == [0, 160]
+
+
+def test_resume_of_a_finished_run_changes_nothing(copy: Path) -> None:
+    """There is nothing left to do."""
+    before = {file: file.read_bytes() for file in sorted(copy.rglob("*")) if file.is_file()}
+    train(resume_settings(copy))
+    assert {file: file.read_bytes() for file in sorted(copy.rglob("*")) if file.is_file()} == before
+
+
+def test_resume_falls_back_on_an_older_checkpoint(copy: Path) -> None:
+    """A damaged checkpoint costs its own steps, and is kept for inspection."""
+    model = copy / "checkpoints" / "000000000160" / "model.zip"
+    model.write_bytes(model.read_bytes()[:1000])
+    train(replace(resume_settings(copy), total_steps=240))
+    assert [folder.name for folder in Run.open(copy).checkpoints()] == [f"{n:012d}" for n in (240, 160, 80)]
+    assert (copy / "checkpoints" / "damaged-000000000160" / "model.zip").stat().st_size == 1000
+    assert [row["time/total_timesteps"] for row in Run.open(copy).rows()] == [80, 160, 240]
+
+
+def test_resume_without_a_sound_checkpoint_names_the_file(copy: Path) -> None:
+    """With all damaged there is nothing to fall back on."""
+    for model in (copy / "checkpoints").glob("*/model.zip"):
+        model.write_bytes(b"no zip")
+    with pytest.raises(InputError, match=rf"^{re.escape(str(copy))}/checkpoints/\d+/model.zip: damaged"):
+        train(replace(resume_settings(copy), total_steps=240))
+
+
+def test_run_killed_before_its_first_checkpoint_starts_over(copy: Path) -> None:
+    """No checkpoint is no error."""
+    shutil.rmtree(copy / "checkpoints")
+    train(resume_settings(copy))
+    assert [row["time/total_timesteps"] for row in Run.open(copy).rows()] == [80, 160]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seed": 9}, "seed = 9: must be 3"),
+        ({"n_steps": 40}, "n_steps = 40: must be 80"),
+        ({"design": Path("worm.json")}, "must not be given with --resume"),
+        ({"run_dir": Path("elsewhere")}, "must not be given with --resume"),
+    ],
+)
+def test_resume_refuses_other_settings(finished: Path, changes: dict[str, Any], message: str) -> None:
+    """A resumed run keeps its settings; nothing given is ignored."""
+    with pytest.raises(InputError, match=message):
+        train(replace(resume_settings(finished), **changes))
+
+
+def test_a_run_is_never_overwritten(finished: Path) -> None:
+    """A new run needs a new folder."""
+    with pytest.raises(InputError, match=r"run_dir = .*: must be a new or empty folder"):
+        train(replace(TINY, run_dir=finished))
+
+
+def test_a_worm_that_cannot_be_built_leaves_no_folder(tmp_path: Path) -> None:
+    """Errors name what is wrong before anything is written."""
+    (tmp_path / "design.json").write_text(json.dumps({"height": -1.0}))
+    with pytest.raises(InputError, match=r"design\.json: .*height"):
+        train(replace(TINY, design=tmp_path / "design.json", run_dir=tmp_path / "run"))
+    with pytest.raises(InputError, match="muscles = 'wings'"):
+        train(replace(TINY, muscles="wings", run_dir=tmp_path / "run"))
+    with pytest.raises(InputError, match=r"absent\.json: no such file"):
+        train(replace(TINY, muscles=str(tmp_path / "absent.json"), run_dir=tmp_path / "run"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_design_and_muscles_from_files(finished: Path, tmp_path: Path) -> None:
+    """The run keeps the worm it was given."""
+    (tmp_path / "design.json").write_text(LatticeDesign(max_tension=0.25).to_json())
+    muscles = json.loads((finished / "muscles.json").read_text())
+    (tmp_path / "muscles.json").write_text(json.dumps({"muscles": muscles["muscles"][:6]}))
+    settings = replace(TINY, design=tmp_path / "design.json", muscles=str(tmp_path / "muscles.json"), total_steps=80)
+    path = train(replace(settings, run_dir=tmp_path / "run"))
+    worm: Any = make_env(Run.open(path).env_arguments).unwrapped
+    assert worm.design.max_tension == 0.25
+    assert len(worm.layout) == 6
+
+
+def test_divergence_is_counted_and_learning_goes_on(tmp_path: Path) -> None:
+    """Muscles far too strong blow the worm up, not the learner."""
+    (tmp_path / "design.json").write_text(LatticeDesign(max_tension=50.0).to_json())
+    path = train(replace(TINY, design=tmp_path / "design.json", run_dir=tmp_path / "run"))
+    rows = Run.open(path).rows()
+    assert rows[-1]["worm/diverged_episodes"] > rows[0]["worm/diverged_episodes"] > 0
+    assert rows[-1]["worm/return_mean"] < 0
+    assert np.isfinite(_first_action(path)).all()
+
+
+def test_nan_never_reaches_the_learner(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """NaN stops the run on both ways between worm and learner."""
+    venv = make_vector_env(Run.open(finished).env_arguments, 1)
+    venv.reset()
+    with pytest.raises(ValueError, match="nan"):
+        venv.step(np.full((1, 8), np.nan, dtype=np.float32))
+    inner: Any = venv.unwrapped
+    step = inner.step_wait
+    monkeypatch.setattr(inner, "step_wait", lambda: (step()[0] * np.nan, np.zeros(1), np.zeros(1, bool), [{}]))
+    with pytest.raises(ValueError, match="nan"):
+        venv.step(np.zeros((1, 8), dtype=np.float32))
+    venv.close()
+
+
+def test_time_limit_stops_with_a_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Running out of time loses nothing."""
+    path = train(
+        replace(TINY, total_steps=100_000, checkpoint_every=100_000, time_limit=1e-3, run_dir=tmp_path / "run")
+    )
+    assert 0 < Run.open(path).steps < 160
+    assert "stopped by time limit" in capsys.readouterr().out
+
+
+# Evaluation
+
+
+def test_evaluation_report(copy: Path) -> None:
+    """Scores are means over the seeds named, repeat, and order as they should."""
+    normaliser = (copy / "vecnormalize.pkl").read_bytes()
+    scores = evaluate(copy, episodes=2, seed=50, command="a command")
+    report = json.loads((copy / "evaluation.json").read_text())
+    assert report["made"]["command"] == "a command"
+    assert report["seeds"] == [50, 51]
+    assert report["made"]["versions"]["numpy"] == np.__version__
+    assert set(report["policies"]) == set(POLICIES)
+    for name, result in scores.items():
+        assert report["policies"][name]["return_mean"] == pytest.approx(np.mean(result.returns), rel=1e-12)
+        assert set(report["policies"][name]["outcome_mean"]) == {"strain"}
+    assert abs(scores["nothing"].return_mean) < 1e-6
+    assert scores["gait"].return_mean > scores["random"].return_mean > 1.0
+    assert scores["gait"].outcome_mean["strain"] == pytest.approx(0.31, abs=0.02)
+    assert evaluate(copy, episodes=2, seed=50) == scores
+    assert (copy / "vecnormalize.pkl").read_bytes() == normaliser
+    text = format_scores(scores)
+    assert len({len(line) for line in text.splitlines()}) == 1
+    assert f"{scores['policy'].return_mean:.3f} +- {scores['policy'].return_std:.3f}" in text
+
+
+def test_normalisation_matters_and_is_the_runs_own(finished: Path) -> None:
+    """The policy sees observations as in training."""
+    run = Run.open(finished)
+    env = make_env(run.env_arguments)
+    start = make_policy("policy", run, env)
+    by_hand = []
+    normaliser = VecNormalize.load(str(finished / "vecnormalize.pkl"), DummyVecEnv([lambda: env]))
+    moments: Any = normaliser.obs_rms
+    model = PPO.load(finished / "model.zip", device="cpu")
+    observation, _ = env.reset(seed=7)
+    act = start(env, 7)
+    for _ in range(10):
+        scaled = (observation - moments.mean) / np.sqrt(moments.var + normaliser.epsilon)
+        by_hand.append(model.predict(np.clip(scaled, -10.0, 10.0).astype(np.float32), deterministic=True)[0])
+        np.testing.assert_allclose(act(observation), by_hand[-1], atol=1e-5)
+        observation, *_ = env.step(act(observation))
+    assert not np.allclose(by_hand[-1], model.predict(observation, deterministic=True)[0], atol=1e-3)
+
+
+def test_gait_drives_groups_with_their_mean() -> None:
+    """What the gait asks of rings arrives in the rings."""
+    env = make_env(run_folder.requested_arguments(TrainConfig(task="peristalsis", control="ring")))
+    env.reset(seed=1)
+    worm: Any = env.unwrapped
+    expected = gait("peristalsis", worm.lattice, worm.layout, worm.task.command)(0.0)
+    action = hand_made_gait(env, 1)(None)
+    np.testing.assert_allclose(0.5 * (action[worm.groups] + 1.0), expected, atol=1e-6)
+
+
+def test_episodes_repeat_with_their_seed(finished: Path) -> None:
+    """A seed fixes the episode, random actions included."""
+    run = Run.open(finished)
+    env = make_env(run.env_arguments)
+    start = make_policy("random", run, env)
+    first = [step.reward for step in play(env, start, 5)]
+    assert [step.reward for step in play(env, start, 5)] == first
+    assert [step.reward for step in play(env, start, 6)] != first
+    assert score(env, start, range(5, 6)).returns == (sum(first),)
+
+
+@pytest.mark.parametrize(("argument", "value"), [("episodes", 0), ("seed", -1)])
+def test_evaluation_refuses_bad_numbers(finished: Path, argument: str, value: Any) -> None:
+    """No episode, no score."""
+    with pytest.raises(InputError, match=f"^{argument} = {value}: must be"):
+        evaluate(finished, **{argument: value})
+
+
+DAMAGE: dict[str, Callable[[Path], object]] = {
+    "missing": Path.unlink,
+    "empty": lambda file: file.write_bytes(b""),
+    "truncated": lambda file: file.write_bytes(file.read_bytes()[: file.stat().st_size // 2]),
+    "foreign": lambda file: file.write_bytes(bytes(range(256)) * 8),
+    "list": lambda file: file.write_text("[1, 2]"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize(
+    "name", ["config.json", "design.json", "muscles.json", "versions.json", "model.zip", "vecnormalize.pkl"]
+)
+def test_evaluation_names_a_damaged_file(copy: Path, name: str, damage: str) -> None:
+    """Whatever happened to a file, the error names it."""
+    DAMAGE[damage](copy / name)
+    with pytest.raises(InputError, match=rf"^{re.escape(str(copy / name))}: (no such file|damaged)"):
+        evaluate(copy, episodes=1)
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_rollout_names_a_damaged_progress_table(copy: Path, damage: str) -> None:
+    """The learning curve needs a sound table."""
+    DAMAGE[damage](copy / "progress.csv")
+    with pytest.raises(InputError, match=rf"^{re.escape(str(copy / 'progress.csv'))}: (no such file|damaged)"):
+        export(copy)
+
+
+def test_rollout_names_a_damaged_evaluation(copy: Path) -> None:
+    """Lines of baselines need a sound report."""
+    (copy / "evaluation.json").write_text('{"policies": {}}')
+    with pytest.raises(InputError, match=r"evaluation\.json: damaged"):
+        export(copy)
+
+
+def test_files_of_another_worm_are_refused(copy: Path, tmp_path: Path) -> None:
+    """A model for another worm does not pass for this one's."""
+    other = train(replace(TINY, task="compression", total_steps=80, run_dir=tmp_path / "other"))
+    shutil.copy(other / "model.zip", copy / "model.zip")
+    with pytest.raises(InputError, match=r"model\.zip: damaged or not of this kind: .*spaces do not match"):
+        evaluate(copy, episodes=1)
+
+
+# Rollouts
+
+
+def test_recorded_episode(finished: Path) -> None:
+    """Frames run from the start at rest to the end of the last step."""
+    trajectory = record(Run.open(finished), "gait", seed=2)
+    assert trajectory.n_frame == 41
+    assert trajectory.time[0] == 0.0
+    assert trajectory.time[-1] == pytest.approx(2.0)
+    assert trajectory.reward[0] == 0.0
+    assert trajectory.task == "extension"
+    assert np.all(trajectory.activation[0] == 0.0)
+    assert np.all(trajectory.activation[-1] > 0.99)
+    rise = trajectory.position[-1, :492, 2].max() - trajectory.position[0, :492, 2].max()
+    assert rise == pytest.approx(0.031, abs=0.002)
+    assert trajectory.outcome[-1] == f"return {trajectory.reward.sum():.2f}   strain {rise / 0.1:.3g}"
+
+
+def test_rollout_artefacts_open(copy: Path) -> None:
+    """Every file can be read and shows something."""
+    evaluate(copy, episodes=1)
+    files = export(copy, "policy", seed=11)
+    trajectory = Trajectory.load(files.trajectory)
+    ffmpeg = extra("imageio_ffmpeg").get_ffmpeg_exe()
+    command = [ffmpeg, "-i", str(files.video), "-f", "rawvideo", "-pix_fmt", "gray", "-"]
+    pixels = np.frombuffer(subprocess.run(command, capture_output=True, check=True).stdout, dtype=np.uint8)
+    frames = pixels.reshape(trajectory.n_frame, -1).astype(np.float64)
+    assert np.abs(frames[-1] - frames[0]).max() > 100.0
+    for picture in (files.activation, files.learning_curve):
+        assert iio.imread(picture).std() > 5.0
+
+
+@pytest.mark.parametrize(("policy", "seed", "message"), [("swim", 1, "policy = 'swim'"), ("gait", -1, "seed = -1")])
+def test_rollout_refuses_bad_input(finished: Path, policy: Any, seed: int, message: str) -> None:
+    """Errors name the argument."""
+    with pytest.raises(InputError, match=message):
+        record(Run.open(finished), policy, seed)
+
+
+# Benchmark and demo
+
+
+def test_benchmark_report(tmp_path: Path) -> None:
+    """Rates are positive, shares add up, every repeat is kept."""
+    config = BenchmarkConfig(train=replace(TINY, n_steps=40), repeats=2, steps=5, updates=1, output=tmp_path / "b.json")
+    report = benchmark(config, "a command")
+    medians = report["median"]
+    assert set(medians) == {"one worm", "worms together", "PPO", "simulator", "policy", "learning", "rest"}
+    assert all(value > 0.0 for value in medians.values())
+    assert sum(medians[name] for name in ("simulator", "policy", "learning", "rest")) == pytest.approx(1.0, abs=0.1)
+    assert json.loads(config.output.read_text()) == report
+    assert report["made"]["command"] == "a command"
+    assert all(len(values) == 2 for values in report["measured"].values())
+    with pytest.raises(InputError, match="repeats = 0"):
+        BenchmarkConfig(repeats=0)
+
+
+def test_demo_reuses_its_run(copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """A second demo does not train again unless asked to."""
+    monkeypatch.setattr(demo_module, "export", Run.open)
+    model = (copy / "model.zip").read_bytes()
+    learned = demo_module.demo(copy, TINY, episodes=1)
+    means = {k: v["return_mean"] for k, v in json.loads((copy / "evaluation.json").read_text())["policies"].items()}
+    assert learned == (means["policy"] > max(means["nothing"], means["random"]))
+    assert ("DOES NOT beat" in capsys.readouterr().out) == (not learned)
+    assert (copy / "model.zip").read_bytes() == model
+    with pytest.raises(InputError, match="other settings; discard it with"):
+        demo_module.demo(copy, replace(TINY, seed=5))
+    demo_module.demo(copy, replace(TINY, seed=5), fresh=True, episodes=1)
+    assert Run.open(copy).config.seed == 5
+
+
+def test_demo_deletes_only_run_folders(tmp_path: Path) -> None:
+    """Starting over never deletes something else."""
+    (tmp_path / "thesis.txt").write_text("years of work")
+    with pytest.raises(InputError, match="not a run folder, so not deleted"):
+        demo_module.demo(tmp_path, TINY, fresh=True)
+    assert (tmp_path / "thesis.txt").exists()
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_demo_exit_status_tells_whether_it_learned(monkeypatch: pytest.MonkeyPatch, better: bool) -> None:
+    """A demo that learned nothing fails."""
+    monkeypatch.setattr(demo_module, "demo", lambda fresh: better)
+    if better:
+        demo_module.main()
+    else:
+        with pytest.raises(SystemExit, match="1"):
+            demo_module.main()

@@ -1,0 +1,188 @@
+"""Settings of a training run and the command lines: what is refused, and how runs are stopped and continued."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agents.config import InputError, TrainConfig, within
+from agents.run_folder import Run
+from train import main as train_main
+
+ROOT = Path(__file__).parent.parent
+
+
+@given(st.floats(), st.floats(allow_nan=False), st.floats(allow_nan=False))
+def test_within_agrees_with_comparisons(value: float, low: float, high: float) -> None:
+    """Intervals mean what they mean in mathematics, NaN lying in none."""
+    assert within(value, f"[{low!r}, {high!r}]") == (low <= value <= high)
+    assert within(value, f"({low!r}, {high!r})") == (low < value < high)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("task", "swimming"),
+        ("control", "leg"),
+        ("engine", "warp"),
+        ("observation", "all"),
+        ("total_steps", 0),
+        ("total_steps", 1.5),
+        ("seed", -1),
+        ("n_envs", 0),
+        ("n_envs", True),
+        ("n_steps", 1),
+        ("batch_size", 3),
+        ("n_epochs", 0),
+        ("learning_rate", 0.0),
+        ("learning_rate", math.nan),
+        ("gamma", 1.01),
+        ("gae_lambda", -0.1),
+        ("clip_range", 0.0),
+        ("entropy_coefficient", -1.0),
+        ("value_coefficient", math.inf),
+        ("max_gradient_norm", 0.0),
+        ("hidden_sizes", ()),
+        ("hidden_sizes", (64, 0)),
+        ("hidden_sizes", 64),
+        ("log_std_init", 5.0),
+        ("rhythm", 0.0),
+        ("control_dt", math.inf),
+        ("checkpoint_every", 0),
+        ("time_limit", 0.0),
+        ("torch_threads", 0),
+        ("anneal", 1),
+        ("gsde", None),
+        ("design", "worm.json"),
+        ("muscles", 3),
+    ],
+)
+def test_bad_settings_name_field_and_value(field: str, value: Any) -> None:
+    """One error names the field and what was given."""
+    with pytest.raises(ValueError, match=rf"^{field} = {re.escape(repr(value))}: must "):
+        TrainConfig(**{field: value})
+
+
+@given(
+    st.builds(
+        TrainConfig,
+        task=st.sampled_from(["extension", "compression", "bending", "peristalsis"]),
+        seed=st.integers(0, 2**32 - 1),
+        rhythm=st.none() | st.floats(0.1, 10.0),
+        gamma=st.floats(0.0, 1.0, exclude_min=True),
+        hidden_sizes=st.lists(st.integers(1, 512), min_size=1, max_size=4).map(tuple),
+        anneal=st.booleans(),
+    )
+)
+def test_settings_survive_json(config: TrainConfig) -> None:
+    """config.json holds every setting."""
+    assert TrainConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+
+@given(
+    st.dictionaries(st.sampled_from([f.name for f in fields(TrainConfig)] + ["x"]), st.integers() | st.text(max_size=3))
+)
+def test_settings_from_anything_are_sound_or_refused(values: dict[str, Any]) -> None:
+    """Nothing is taken over silently changed."""
+    refused: str | None = None
+    try:
+        taken = TrainConfig.from_dict(values).to_dict()
+    except InputError as error:
+        refused = str(error).split()[0].rstrip(":")
+    else:
+        assert {name: taken[name] for name in values} == values
+    assert refused is None or refused in values
+
+
+def test_bending_is_not_driven_by_rings() -> None:
+    """Rings that contract alike all around cannot bend a worm."""
+    assert TrainConfig(task="bending").driven == "column"
+    assert TrainConfig(task="peristalsis").driven == "ring"
+    assert TrainConfig(task="bending", control="muscle").driven == "muscle"
+
+
+def test_every_setting_has_a_docstring_on_the_command_line() -> None:
+    """Options and units show in the help."""
+    text = subprocess.run(
+        [sys.executable, "train.py", "--help"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    for field in fields(TrainConfig):
+        assert f"--{field.name.replace('_', '-')}" in text
+    assert "[Hz]" in text
+    assert "[s]" in text
+
+
+def test_killed_run_resumes_and_ctrl_c_saves(tmp_path: Path) -> None:
+    """Neither SIGKILL nor ctrl-C in a terminal loses a run."""
+    path = tmp_path / "run"
+    options = ["--n-envs", "2", "--n-steps", "40", "--batch-size", "40", "--checkpoint-every", "80"]
+    first = _start(["--task", "extension", "--total-steps", "1000000", "--run-dir", str(path), *options])
+    _wait_for(lambda: path.exists() and Run.open(path).steps >= 160, first)
+    first.kill()
+    first.communicate()
+    steps = Run.open(path).steps
+    second = _start(["--resume", str(path)])
+    _wait_for(lambda: Run.open(path).steps > steps, second)
+    os.killpg(second.pid, signal.SIGINT)  # as a terminal does: to the learner and to every worm
+    out, err = second.communicate(timeout=30)
+    assert second.returncode == 0, err
+    assert f"{path}: {steps} of 1000000 steps done" in out
+    assert f"stopped by SIGINT; continue with: python train.py --resume {path}" in out
+    assert [session["from_step"] for session in json.loads((path / "versions.json").read_text())] == [0, steps]
+    assert not list(path.rglob("unfinished-*"))
+
+
+def _start(arguments: list[str]) -> subprocess.Popen[str]:
+    command = [sys.executable, "train.py", *arguments]
+    return subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+
+
+def _wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> None:
+    until = time.monotonic() + 60.0
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.05)
+
+
+def test_command_line_prints_one_line_for_a_missing_run() -> None:
+    """Bad input gives a message, not a traceback."""
+    command = [sys.executable, "-m", "agents.evaluation", "nowhere"]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr.strip()) == (1, "error: nowhere: no such run folder")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--resume", "nowhere"], "nowhere: no such run folder"),
+        (["--seed", "1", "--design", "nowhere.json"], r"nowhere\.json: no such file"),
+    ],
+)
+def test_training_refuses_what_is_not_there(arguments: list[str], message: str) -> None:
+    """Nothing is made of nothing."""
+    with pytest.raises(InputError, match=f"^{message}"):
+        train_main(arguments)
+
+
+def test_bad_options_end_with_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    """The settings' own message reaches the terminal."""
+    with pytest.raises(SystemExit):
+        train_main(["--gamma", "2"])
+    assert "gamma = 2.0: must be a number in (0, 1]" in " ".join(capsys.readouterr().err.split())
