@@ -79,7 +79,7 @@ class LatticeDesign:
 
     Rod i runs on a cylinder of the given diameter at the azimuth ``chirality[i] 2 pi z / T + phases[i]``. The paper's
     ratio of the period T to the height is not legible; 3/2 gives its 42 vertical muscles. Rise and decay times follow
-    Thelen (2003). The rotational damping is ours: enough that spin left over from a start has died out after a second,
+    Thelen (2003). The rotational damping is ours: enough that the spin of a structure rod dies out within a second,
     too little to change a strain by 0.1 %. Anything that cannot be built is a ValueError that names field, value and
     bound.
     """

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Integral
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,8 @@ DT_MARGIN = 0.5
 """Share of the predicted stable step that `default_dt` may use: room for what contraction adds to the stiffness."""
 
 _FRAME_TOLERANCE = 1e-9
+_DRIFT_TOLERANCE = 1e-6
+"""Frames are turned step by step and never mended: a million steps leave about 1e-10."""
 
 
 def _array(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
@@ -286,6 +289,9 @@ class RodModel:
                 good = np.isfinite(value) and value >= 0.0
                 _require(good, f"joints[{k}].{name} = {value}: must be finite and not negative")
         for k, clamp in enumerate(self.clamps):
+            _require(
+                clamp.node is not None or clamp.element is not None, f"clamps[{k}]: holds neither node nor element"
+            )
             self._check_index(f"clamps[{k}]", clamp.rod, clamp.node or 0, extra=1)
             self._check_index(f"clamps[{k}]", clamp.rod, clamp.element or 0, extra=0)
         for k, force in enumerate(self.forces):
@@ -299,6 +305,9 @@ class RodModel:
         _require(len(set(self.muscles)) == len(self.muscles), "muscles: a rod is named twice")
 
     def _check_index(self, name: str, rod: int, index: int, *, extra: int) -> None:
+        for value in (rod, index):
+            whole = isinstance(value, Integral) and not isinstance(value, bool)
+            _require(whole, f"{name}: {value!r} must be a whole number")
         _require(0 <= rod < len(self.rods), f"{name}: there is no rod {rod}")
         count, part = self.rods[rod].n_elem + extra, "nodes" if extra else "elements"
         _require(0 <= index < count, f"{name}: rod {rod} has {count} {part}, no number {index}")
@@ -372,7 +381,7 @@ class RodState:
         return replace(self, **arrays)
 
     def check(self, model: RodModel) -> None:
-        """Raise ValueError unless shapes fit `model`, all is finite and clamped nodes stand at rest."""
+        """Raise ValueError unless shapes fit `model`, all is finite, frames are frames and what is clamped rests."""
         shapes = {
             "position": (model.n_node, 3),
             "velocity": (model.n_node, 3),
@@ -383,15 +392,24 @@ class RodState:
             array = getattr(self, name)
             _require(array.shape == shape, f"RodState.{name}: shape must be {shape}, got {array.shape}")
             _require(bool(np.isfinite(array).all()), f"RodState.{name}: must be finite")
+        _require(bool(np.isfinite(self.time)), f"RodState.time = {self.time}: must be finite")
+        skew = np.abs(self.directors @ self.directors.transpose(0, 2, 1) - np.eye(3)).max()
+        _require(bool(skew < _DRIFT_TOLERANCE), "RodState.directors: must be orthonormal")
         for clamp in model.clamps:
             rod = model.rods[clamp.rod]
             if clamp.node is not None:
                 gap = self.position[model.nodes(clamp.rod)][clamp.node] - rod.position[clamp.node]
                 still = np.abs(gap).max() < _FRAME_TOLERANCE * rod.rest_length.sum()
                 _require(bool(still), f"RodState.position: {clamp} must stay at rest")
+                _require(
+                    not self.velocity[model.nodes(clamp.rod)][clamp.node].any(), f"RodState.velocity: {clamp} moves"
+                )
             if clamp.element is not None:
                 turn = self.directors[model.elements(clamp.rod)][clamp.element] - rod.directors[clamp.element]
                 _require(bool(np.abs(turn).max() < _FRAME_TOLERANCE), f"RodState.directors: {clamp} must stay at rest")
+                _require(
+                    not self.omega[model.elements(clamp.rod)][clamp.element].any(), f"RodState.omega: {clamp} turns"
+                )
 
 
 def build_model(lattice: Lattice, layout: MuscleLayout) -> RodModel:
@@ -468,11 +486,18 @@ def _rod_bound(rod: Rod) -> float:
     In the fastest motion neighbouring nodes move, and neighbouring elements turn, in opposite senses: a 2 x 2 problem
     of deflection (shear alone) and turning (shear and bending), which is never below stretch alone.
     """
-    bend = rod.youngs_modulus / rod.rest_length**2
-    deflect = SHEAR_CORRECTION * rod.shear_modulus / rod.rest_length**2
-    turn = SHEAR_CORRECTION * rod.shear_modulus / rod.radius**2
+    stretch = _chain_bound(rod.stretch_stiffness / rod.rest_length, rod.mass)
+    bend = _chain_bound(rod.bend_stiffness / rod.rest_voronoi, rod.inertia)
+    deflect = _chain_bound(rod.shear_stiffness / rod.rest_length, rod.mass)
+    turn = float(np.max(rod.shear_stiffness * rod.rest_length / rod.inertia))
     trace = bend + deflect + turn
-    return 2.0 / rod.density * float(np.max(trace + np.sqrt(trace**2 - 4.0 * deflect * bend)))
+    return max(stretch, 0.5 * (trace + float(np.sqrt(trace**2 - 4.0 * deflect * bend))))
+
+
+def _chain_bound(stiffness: FloatArray, inertia: FloatArray) -> float:
+    """Largest eigenvalue, bounded from above, of bodies in a row (n,) with springs between them (n - 1,)."""
+    load = (np.append(stiffness, 0.0) + np.append(0.0, stiffness)) / inertia
+    return float(np.max(load[1:] + load[:-1]))
 
 
 def _joint_bound(model: RodModel, coefficient: str) -> float:

@@ -9,8 +9,13 @@ from pathlib import Path
 
 
 def test_no_index_leaves_its_array(tmp_path: Path) -> None:
-    """The general assembly and the lattice run with numba's bounds checks on, and still agree with PyElastica."""
-    checks = ["test_engines_agree_on_any_assembly", "test_each_failure_is_named", "test_large_rotations_are_exact"]
+    """A general assembly and a lattice run with numba's bounds checks on, and still agree with PyElastica."""
+    checks = [
+        "test_engines_agree[options4]",
+        "test_engines_agree_on_any_assembly",
+        "test_each_failure_is_named",
+        "test_large_rotations_are_exact",
+    ]
     command = [
         sys.executable,
         "-m",

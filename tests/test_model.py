@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -87,6 +87,8 @@ def test_refused_rods(change: dict[str, object], name: str) -> None:
         ({"clamps": (Clamp(0, node=0), Clamp(1, element=3))}, r"clamps\[1\]"),
         ({"forces": (PointForce(1, 0, (np.nan, 0.0, 0.0)),)}, r"forces\[0\]"),
         ({"torques": (PointTorque(1, 3, (0.0, 0.0, 0.0)),)}, r"torques\[0\]"),
+        ({"joints": (Joint(0, cast(int, 1.7), 1, 0, 1.0),)}, r"joints\[0\]"),
+        ({"clamps": (Clamp(0),)}, r"clamps\[0\]"),
         ({"muscles": (1, 1)}, "muscles"),
         ({"muscles": (5,)}, r"muscles\[0\]"),
     ],
@@ -140,11 +142,43 @@ def test_the_lattice_model(lattice: Lattice) -> None:
     assert build_model(free, named_layout("extension", free)).clamps == ()
 
 
+def test_every_parameter_reaches_the_model() -> None:
+    """A design with no two parameters alike: each rod and joint has its own."""
+    design = LatticeDesign(
+        structure_radius=4e-3,
+        structure_density=1001.0,
+        structure_youngs_modulus=5e4,
+        structure_poisson_ratio=0.4,
+        muscle_radius=3e-3,
+        muscle_density=1002.0,
+        muscle_youngs_modulus=2e4,
+        muscle_poisson_ratio=0.3,
+        elements_per_muscle=3,
+        joint_stiffness=90.0,
+        joint_damping=0.01,
+        damping=0.02,
+        rotational_damping=1e-8,
+    )
+    lattice = build_lattice(design)
+    model = build_model(lattice, named_layout("all", lattice))
+    assert {(joint.stiffness, joint.damping) for joint in model.joints} == {(90.0, 0.01)}
+    for index, made in enumerate(model.rods):
+        structure = index < 12
+        assert made.n_elem == (40 if structure else 3)
+        assert set(made.radius) == {4e-3 if structure else 3e-3}
+        assert made.density == (1001.0 if structure else 1002.0)
+        assert made.youngs_modulus == (5e4 if structure else 2e4)
+        assert made.shear_modulus == pytest.approx(5e4 / 2.8 if structure else 2e4 / 2.6)
+        assert (made.damping, made.rotational_damping) == (0.02, 1e-8)
+
+
 def holds_still(model: RodModel, dt: float) -> bool:
     """Whether 2,000 steps from a slightly shaken rest stay finite and small."""
     engine = make_engine("fused", model, dt)
     rest = model.rest_state()
     shake = 1e-6 * np.random.default_rng(0).standard_normal(rest.velocity.shape)
+    for clamp in model.clamps:
+        shake[model.nodes(clamp.rod)][clamp.node or 0] = 0.0
     engine.restore(replace(rest, velocity=shake))
     return engine.advance(np.zeros(model.n_muscle), 2000).ok and bool(np.abs(engine.state.velocity).max() < 1e-3)
 
@@ -164,6 +198,15 @@ def test_stable_step_of_a_straight_rod(n_elem: int, radius: float) -> None:
     made = straight_rod((0, 0, 0), (0, 0, 1), n_elem, **(STEEL | {"radius": radius}))
     model = RodModel(rods=(made,))
     assert 0.9 < stable_dt(model) / measured_dt(model) < 1.01
+
+
+@pytest.mark.parametrize("radii", [[0.05] * 5 + [0.01] * 5, [0.05] * 9 + [0.005], [0.05, 0.01] + [0.05] * 8])
+def test_stable_step_of_a_rod_of_varying_radius(radii: list[float]) -> None:
+    """A stiff region beside a light element decides; the prediction stays below the measured limit."""
+    position = np.linspace(0.0, 1.0, 11)[:, None] * [0.0, 0.0, 1.0]
+    made = rod(position=position, directors=straight_frames(position, (0.0, 1.0, 0.0)), radius=radii)
+    model = RodModel(rods=(made,))
+    assert 0.6 < stable_dt(model) / measured_dt(model) < 1.01
 
 
 def test_stable_step_of_joints_and_dashpots() -> None:

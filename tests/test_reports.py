@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from lattice_gym.engines.fused import FusedEngine
 from lattice_gym.reports import engines, paper
 from lattice_gym.reports.__main__ import main
 from lattice_gym.reports.provenance import table
@@ -21,7 +22,7 @@ def test_the_papers_motions_at_one_newton(tmp_path: Path, capsys: pytest.Capture
         row["motion"]: abs(row["deviation"]) < allowed[row["motion"]] for row in result["outcomes"]
     } == dict.fromkeys(allowed, True)
     assert {row["verdict"] for row in result["outcomes"]} == {"held"}
-    assert result["made"]["command"] == "python -m lattice_gym.reports paper --tension 1 --no-pictures"
+    assert result["made"]["command"] == "python -m lattice_gym.reports paper --engine fused --tension 1"
     printed = capsys.readouterr().out
     assert printed == (tmp_path / "paper.md").read_text()
     assert str(tmp_path) not in printed
@@ -35,12 +36,13 @@ def test_both_engines_reach_the_same_bend() -> None:
     assert values[0] == pytest.approx(values[1], abs=1e-6)
 
 
-def test_a_lattice_that_fails_is_reported() -> None:
-    """Far too much tension: the value is left out, and the verdict says why; exit status 1."""
-    outcome = paper.run_motion(paper.TABLE_2[0], 20.0, "fused")[0]
-    assert outcome.value != outcome.value
-    assert "rod" in outcome.verdict
-    assert outcome.verdict != "held"
+def test_a_lattice_that_fails_is_reported(tmp_path: Path) -> None:
+    """Far too much tension: the values are left out, the verdict says why, the exit status is 1, the JSON is JSON."""
+    assert main(["--out", str(tmp_path), "paper", "--tension", "20", "--no-pictures"]) == 1
+    row = json.loads((tmp_path / "paper.json").read_text(), parse_constant=pytest.fail)["outcomes"][0]
+    assert row["value"] is None
+    assert "rod" in row["verdict"]
+    assert "nan" not in (tmp_path / "paper.md").read_text()
 
 
 def test_a_strip_of_final_shapes(tmp_path: Path) -> None:
@@ -53,8 +55,16 @@ def test_engines_report(tmp_path: Path) -> None:
     """It finds the engines in agreement and writes both medians."""
     engines.report(tmp_path, command="test", repeats=1, n_control=1)
     result = json.loads((tmp_path / "engines.json").read_text())
-    assert all(row["position"] < 1e-9 for row in result["differences"])
+    assert result["agree"]
     assert min(result["median_seconds_per_step"].values()) > 0.0
+
+
+def test_engines_report_finds_disagreement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fused engine that pulls too hard by a billionth is found out."""
+    advance = FusedEngine._advance
+    monkeypatch.setattr(FusedEngine, "_advance", lambda engine, a, b, n: advance(engine, a * (1.0 + 1e-9), b, n))
+    assert not engines.report(tmp_path, command="test", repeats=1, n_control=1)
+    assert "DO NOT AGREE" in (tmp_path / "engines.md").read_text()
 
 
 @pytest.mark.parametrize(

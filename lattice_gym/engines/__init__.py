@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import IntEnum
+from numbers import Integral
 from typing import Literal, get_args
 
 import numpy as np
@@ -96,8 +97,8 @@ class Engine(ABC):
             raise ValueError(f"tension: shape must be ({n},) or (2, {n}), got {pull.shape}")
         if not (np.isfinite(pull).all() and (pull >= 0.0).all()):
             raise ValueError("tension: must be finite and not negative [N]")
-        if n_substeps < 1:
-            raise ValueError(f"n_substeps = {n_substeps}: must be at least 1")
+        if not isinstance(n_substeps, Integral) or isinstance(n_substeps, bool) or n_substeps < 1:
+            raise ValueError(f"n_substeps = {n_substeps!r}: must be a whole number, at least 1")
         start, end = (pull, pull) if pull.ndim == 1 else pull
         return self._advance(start, end, int(n_substeps))
 

@@ -152,7 +152,6 @@ class FusedEngine(Engine):
         cells["v"][self._node_cell, :, self._node_lane] = state.velocity
         cells["q"][self._element_cell, :, self._element_lane] = state.directors.reshape(-1, 9)
         cells["w"][self._element_cell, :, self._element_lane] = state.omega
-        cells["force"] = 0.0
         self._time = state.time
 
     def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:

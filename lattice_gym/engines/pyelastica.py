@@ -157,6 +157,14 @@ class PyElasticaEngine(Engine):
             rod.velocity_collection[:] = state.velocity[nodes].T
             rod.director_collection[:] = np.moveaxis(state.directors[elements], 0, -1)
             rod.omega_collection[:] = state.omega[elements].T
+            # PyElastica clears these by multiplication, which keeps what is not finite.
+            for left_over in (
+                rod.acceleration_collection,
+                rod.alpha_collection,
+                rod.external_forces,
+                rod.external_torques,
+            ):
+                left_over[:] = 0.0
         self._time = state.time
 
     def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:
@@ -179,11 +187,10 @@ class PyElasticaEngine(Engine):
                 dilatation = np.linalg.norm(side, axis=0) / rod.rest_lengths
                 stretched = (dilatation < MIN_DILATATION) | (dilatation > MAX_DILATATION)
                 inverted = np.sum(directors[2] * side, axis=0) <= 0.0
-            for status, wrong in (
-                (Status.NON_FINITE, ~finite),
-                (Status.OVERSTRETCHED, stretched),
-                (Status.INVERTED, inverted),
-            ):
-                if wrong.any():
-                    return Health(status, index, int(np.argmax(wrong)))
+            status = np.select(
+                [~finite, stretched, inverted], [Status.NON_FINITE, Status.OVERSTRETCHED, Status.INVERTED], Status.OK
+            )
+            if status.any():
+                element = int(np.argmax(status != Status.OK))
+                return Health(Status(int(status[element])), index, element)
         return Health()

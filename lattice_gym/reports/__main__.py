@@ -11,7 +11,7 @@ from typing import get_args
 
 from lattice_gym.engines import EngineName
 
-RESULTS = Path(__file__).parent / "results"
+RESULTS = Path("runs/reports")
 
 
 def _tension(text: str) -> float:
@@ -25,7 +25,7 @@ def parser() -> argparse.ArgumentParser:
     """Build the command line's parser."""
     top = argparse.ArgumentParser(prog="python -m lattice_gym.reports", description="Measure what the engines reach.")
     top.add_argument(
-        "--out", type=Path, default=RESULTS, help="folder for tables, figures and pictures (default: beside the code)"
+        "--out", type=Path, default=RESULTS, help=f"folder for tables, figures and pictures (default: {RESULTS})"
     )
     names = top.add_subparsers(dest="name", required=True)
     paper = names.add_parser("paper", help="the paper's three motions beside its Table 2")
@@ -40,20 +40,19 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one report; exit status 1 where it shows a failure."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    options = parser().parse_args(words)
-    shown = [word for word in words if word != "--out" and word != str(options.out)]
-    command = " ".join(["python -m lattice_gym.reports", *shown])
+    options = parser().parse_args(arguments)
+    command = f"python -m lattice_gym.reports {options.name}"
     if options.name == "paper":
         from lattice_gym.reports.paper import report as report_paper
 
+        command += f" --engine {options.engine} --tension {' '.join(f'{tension:g}' for tension in options.tension)}"
         pictures = not options.no_pictures
-        held = report_paper(options.engine, options.tension, options.out, pictures=pictures, command=command)
-        return 0 if held else 1
-    from lattice_gym.reports.engines import report as report_engines
+        good = report_paper(options.engine, options.tension, options.out, pictures=pictures, command=command)
+    else:
+        from lattice_gym.reports.engines import report as report_engines
 
-    report_engines(options.out, command=command)
-    return 0
+        good = report_engines(options.out, command=command)
+    return 0 if good else 1
 
 
 if __name__ == "__main__":

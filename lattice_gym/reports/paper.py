@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +84,7 @@ def _measure(motion: Motion, lattice: Lattice, position: FloatArray) -> float:
 
 def run_motion(motion: Motion, tension: float, engine_name: EngineName) -> tuple[Outcome, Lattice, RodModel, RodState]:
     """Hold `tension` [N] in every muscle of the motion's layout for the paper's time at the paper's step."""
-    lattice = build_lattice(replace(LatticeDesign(), max_tension=tension))
+    lattice = build_lattice(LatticeDesign())
     model = build_model(lattice, named_layout(motion.name, lattice))
     engine = make_engine(engine_name, model, motion.dt)
     start = time.perf_counter()
@@ -118,18 +118,19 @@ def _compile(engine_name: EngineName) -> float:
 
 
 def _row(motion: Motion, outcome: Outcome) -> list[str]:
+    whole = outcome.status == "ok"
     return [
         outcome.motion,
         f"{outcome.tension:g} N",
         f"{motion.value:+.2f} {motion.unit}",
-        f"{outcome.value:+.2f} {motion.unit}",
-        f"{100.0 * outcome.deviation:+.1f} %",
+        f"{outcome.value:+.2f} {motion.unit}" if whole else "-",
+        f"{100.0 * outcome.deviation:+.1f} %" if whole else "-",
         f"{motion.run_time:.2f} s",
         f"{outcome.run_time:.3f} s",
         f"{outcome.simulated:g} s",
         f"{1e3 * outcome.dt:g} ms",
-        f"{1e3 * outcome.joint_gap:.2f} mm",
-        f"{outcome.least_dilatation:.2f}",
+        f"{1e3 * outcome.joint_gap:.2f} mm" if whole else "-",
+        f"{outcome.least_dilatation:.2f}" if whole else "-",
         outcome.verdict,
     ]
 

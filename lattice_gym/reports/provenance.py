@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import platform
 import sys
@@ -37,10 +38,19 @@ def footer(made: dict[str, Any]) -> str:
 def write(folder: Path, name: str, result: dict[str, Any], tables: Sequence[str]) -> None:
     """Write NAME.json and NAME.md; `result["made"]` is what `provenance` gave. Prints the tables as well."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
+    (folder / f"{name}.json").write_text(json.dumps(_finite(result), indent=1, allow_nan=False) + "\n")
     text = "\n\n".join([*tables, footer(result["made"])]) + "\n"
     (folder / f"{name}.md").write_text(text)
     sys.stdout.write(text)
+
+
+def _finite(value: Any) -> Any:
+    """Copy with None for what JSON cannot hold: numbers that are not finite."""
+    if isinstance(value, dict):
+        return {name: _finite(entry) for name, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
