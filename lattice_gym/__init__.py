@@ -12,7 +12,7 @@ from lattice_gym.design import LatticeDesign
 from lattice_gym.env import LatticeWormEnv
 from lattice_gym.gaits import gait, grouped
 from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.muscles import Muscle, MuscleLayout, named_layout
+from lattice_gym.muscles import Muscle, MuscleLayout, horizontal, named_layout, resolve_layout, tie, vertical
 
 __all__ = [
     "Lattice",
@@ -23,7 +23,11 @@ __all__ = [
     "build_lattice",
     "gait",
     "grouped",
+    "horizontal",
     "named_layout",
+    "resolve_layout",
+    "tie",
+    "vertical",
 ]
 
 # Control steps of 0.05 s: long enough for a shape to settle, and for ten periods of a typical wave.

@@ -32,7 +32,7 @@ VELOCITY_SCALE = 1.0
 OBSERVATION_BOUND = 20.0
 """Bound of observed displacements and velocities, several times what the default design reaches."""
 DIVERGENCE_PENALTY = 1000.0
-"""More than an episode of registered length can earn in any task: one that blows up ends below doing nothing."""
+"""More than lies between the best and the worst episode of registered length of any task: to blow up is worse."""
 SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT = 1e-6, 1e3
 """Bounds of the control step [s]."""
 MAX_SUBSTEPS = 1_000_000
@@ -66,7 +66,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | `control` | groups | n_action for "all" muscles of the default design |
     |---|---|---|
     | "muscle" | every active muscle | 90 |
-    | "ring" | level (a vertical muscle's lower one) and orientation | 15 |
+    | "ring" | level (a vertical muscle's lower one) and orientation; alike all round, so it cannot bend | 15 |
     | "column" | azimuth of the muscle's middle and orientation | 24 |
     | sequence of n_muscle whole numbers | any partition: the group of each muscle | number of groups |
 
@@ -106,13 +106,20 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     | task | term | value at the end of the control step |
     |---|---|---|
-    | extension | `strain` | strain: mean rise of the rods' tops over the height |
+    | extension | `strain` | strain: mean rise of the rods' tops above the base over the height |
     | compression | `strain` | minus the strain |
     | bending | `bend` | part of the bend towards the commanded azimuth [rad] |
     | bending | `sideways` | minus the size of its part across [rad] |
-    | peristalsis | `tracking` | share of the commanded wave that is followed: 1 is all, see `tasks.Peristalsis` |
+    | peristalsis | `tracking` | how well the commanded wave is followed, from -1 to 2, see below |
     | all | `effort` | minus 0.01 times the mean squared activation of the muscles |
     | all | `divergence` | 0; or -1000 where the physics diverged, and then all other terms are 0 |
+
+    With d the deviation of each ring's radius from rest and t the commanded one, as shares of the rest radius, and sums
+    over the n levels that can move, tracking = (sum t^2 - sum (d - t)^2) / (n amplitude^2 / 2 + sum (d - t)^2): 0 for
+    doing nothing, sum t^2 / (n amplitude^2 / 2) for following perfectly, which is 1 on average, and never below -1.
+
+    Bend, azimuth and strain are relative to the base: under a free body, to its bottom ring, so that a rigid motion of
+    the whole body is neither bend nor strain.
 
     ## Starting state
 
@@ -132,8 +139,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ## Episode end
 
     `terminated` only where the physics diverges (a state that is not finite, an element inverted or over-stretched).
-    Then `info["status"]` names what and where, and the observation is the last sound one, again. The penalty exceeds
-    what an episode of registered length can earn. The environment never truncates itself: the time limit is registered.
+    Then `info["status"]` names what and where, and the observation is the last sound one, again; `time` is that of the
+    control step that failed. The penalty exceeds what lies between the best and the worst episode of registered length
+    in any task, so none that ends well is worth less. The environment never truncates itself: the time limit is
+    registered.
 
     ## Info
 
@@ -144,11 +153,13 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     |---|---|
     | extension, compression | `strain` |
     | bending | `bend_angle` [rad], `bend_direction` (azimuth) [rad] |
-    | peristalsis | `wave_index` (1 is a pure travelling wave, 0 a standing one or none) |
+    | peristalsis | `wave_index` (1 is a pure travelling wave, 0 a standing one, noise or none) |
     | peristalsis | `wave_direction` (+1 up, -1 down, 0 neither), `wave_speed` [m/s] |
+    | peristalsis | `wave_amplitude` over the rest radius: of the dominant mode, wave or not |
 
     The wave is that of the ring radii over the last two commanded periods, and 0 before two have passed; its value at
-    the end of an episode is the one to report.
+    the end of an episode is the one to report. Index, direction and speed are given only to motion that stands out of
+    noise, see `measures.travelling_wave`.
 
     Arguments
     ---------
@@ -179,7 +190,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         None or "rgb_array".
 
     An argument that cannot be used is a ValueError that names it. With dict forms, and with objects too, an EnvSpec
-    survives JSON and makes an equal environment. Pickles and deep copies go on exactly where the original stood.
+    survives JSON and makes an equal environment. NumPy numbers and arrays are taken too, but JSON knows only plain
+    ones: where a spec is to be written, give `.item()` or `.tolist()` of them. Pickles and deep copies go on exactly
+    where the original stood.
 
     Version history
     ---------------
@@ -247,7 +260,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     @property
     def time(self) -> float:
-        """Time since the episode began [s]."""
+        """Time since the episode began [s], at the end of the last control step, be it one that failed."""
         return self._n_step * self.control_dt
 
     def reset(
@@ -278,6 +291,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             self._running = False
             terms = dict.fromkeys(self.task.term_names, 0.0) | {"divergence": -DIVERGENCE_PENALTY}
         observation, n_beyond = self._observe()
+        if not health.ok:
+            # Not before the last sound moment was observed.
+            self._n_step += 1
         info = {
             "reward_terms": terms,
             "outcome": self.task.outcome(self._state.position),
@@ -295,9 +311,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             from lattice_gym.rendering import Renderer
 
             self._renderer = Renderer(self.lattice, self.model)
-        outcome = self.task.outcome(self._state.position)
-        text = ", ".join(f"{name.replace('_', ' ')} {value:.2f}" for name, value in outcome.items())
-        return self._renderer.update(self._state.position, self.activation, self.time, text)
+        position = self._state.position
+        return self._renderer.update(position, self.activation, self.time, self.task.caption(position))
 
     def close(self) -> None:
         """Free the renderer."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,8 @@ LEAD = 0.07
 """How far a wave runs ahead of what it follows [s]: a command is held for a control step, and muscles lag behind it."""
 FULL_DRIVE_AMPLITUDE = 0.06
 """Amplitude of the ring radii over the rest radius that the wave reaches at full drive in the default design."""
+LEAST, MOST = 1e-9, 1e9
+"""Sizes that the numbers of a gait lie between, wide enough for any body in SI units; some may also be 0."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,8 +47,15 @@ class Gait:
     lead: float = LEAD
     """Time by which the commands run ahead [s]."""
 
+    def __post_init__(self) -> None:
+        for name in ("offset", "swing", "phase"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ValueError(f"{name} = {getattr(self, name)}: must be finite")
+        _check(-MOST, frequency=self.frequency, lead=self.lead)
+
     def __call__(self, time: float) -> FloatArray:
         """Commands at a time [s], shape (n_muscle,), in [0, 1]."""
+        _check(-MOST, time=time)
         angle = TURN * self.frequency * (time + self.lead)
         command: FloatArray = np.clip(self.offset + self.swing * np.cos(angle - self.phase), 0.0, 1.0)
         return command
@@ -83,6 +93,8 @@ def bending_gait(lattice: Lattice, layout: MuscleLayout, azimuth: float, sharpne
 
     Activation follows the cosine of the angle from the azimuth (rings: from its opposite) times the sharpness, up to 1.
     """
+    _check(-MOST, azimuth=azimuth)
+    _check(0.0, sharpness=sharpness)
     middle = _middle(lattice, layout)
     facing = np.cos(np.arctan2(middle[:, 1], middle[:, 0]) - azimuth)
     return _hold(sharpness * np.where(_longitudinal(lattice, layout), facing, -facing))
@@ -118,6 +130,11 @@ def peristalsis_gait(
         Time by which commands run ahead of the wave [s].
 
     """
+    _check(-MOST, speed=speed, phase=phase, lead=lead)
+    _check(LEAST, wavelength=wavelength, amplitude=amplitude)
+    _check(0.0, ring_share=ring_share, top_share=top_share)
+    if speed == 0.0:
+        raise ValueError(f"speed = {speed!r}: must not be 0, a wave that stands")
     longitudinal, height = _longitudinal(lattice, layout), _middle(lattice, layout)[:, 2]
     at_top = ~longitudinal & (height > lattice.design.height * (1.0 - 1e-9))
     share = np.where(longitudinal, 1.0, ring_share) * np.where(at_top, top_share, 1.0)
@@ -140,6 +157,17 @@ def grouped(command: FloatArray, groups: IntArray) -> FloatArray:
         raise ValueError(f"command has shape {np.shape(command)}: must be one a muscle, {np.shape(groups)}")
     mean: FloatArray = np.bincount(groups, command) / np.bincount(groups)
     return mean
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
+def _check(least: float, **values: object) -> None:
+    """Refuse what is no number from `least` to MOST, by its name."""
+    for name, value in values.items():
+        if not _is_number(value) or not least <= value <= MOST:
+            raise ValueError(f"{name} = {value!r}: must be a number from {least:g} to {MOST:g}")
 
 
 def _hold(offset: FloatArray) -> Gait:

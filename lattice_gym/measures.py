@@ -18,8 +18,15 @@ from lattice_gym.model import RodModel
 
 LEAST_BEND = 1e-9
 """A top that leans by less is upright [rad]: rounding has a direction too."""
-LEAST_MOTION = 1e-6
-"""Motion below this share of the largest radius counts as none."""
+LEAST_AMPLITUDE = 5e-4
+"""A wave of a smaller amplitude, as a share of the largest radius, counts as none: half of what may be commanded."""
+LEAST_COHERENCE = 0.9
+"""Motion of which the dominant mode has a smaller share (of the power) is no wave but noise.
+
+Measured over two periods of a typical wave (27 to 60 control steps): 0.999 for the gait of gaits.py, 0.92 with three
+tenths of its ring commands random, at most 0.42 for white noise, 0.67 for random commands of muscles or rings and 0.91
+for those of columns, which move all levels together. Recordings of a dozen rows and fewer are too short to tell.
+"""
 LEAST_SHARE = 0.02
 """Levels that move less than this share of the level that moves most are left out of a travelling wave."""
 STANDING = 0.05
@@ -41,37 +48,65 @@ def site_positions(lattice: Lattice, position: FloatArray) -> FloatArray:
 def strain(lattice: Lattice, position: FloatArray) -> float:
     """Mean rise of the structure rods' top nodes over the rest height (Schaffer et al. 2024): positive is longer.
 
-    The rise is taken from the rods' lowest nodes, so that a free body does not stretch by moving away.
+    The rise is taken from the rods' lowest nodes, along the third axis of `base_frame`, so that a free body does not
+    stretch by moving away or tipping over.
     """
-    height = position[: lattice.n_rod * lattice.n_node, 2].reshape(lattice.n_rod, lattice.n_node)
-    rest = lattice.position[:, :, 2]
-    rise = (height[:, -1] - height[:, 0]) - (rest[:, -1] - rest[:, 0])
+    rods = position[: lattice.n_rod * lattice.n_node].reshape(lattice.n_rod, lattice.n_node, 3)
+    rest = lattice.position[:, -1, 2] - lattice.position[:, 0, 2]
+    rise = (rods[:, -1] - rods[:, 0]) @ base_frame(lattice, position)[2] - rest
     return float(rise.mean()) / lattice.design.height
+
+
+def base_frame(lattice: Lattice, position: FloatArray) -> FloatArray:
+    """Axes that move with the base, as rows, shape (3, 3): the world's where it is clamped.
+
+    Under a free body the third is the normal of the bottom ring, and the first two are turned about it with the ring's
+    sites (least squares), so that a rigid motion changes nothing that is measured along them.
+    """
+    if lattice.design.base == "clamped":
+        return np.eye(3)
+    sites = bottom_sites(lattice)
+    ring, rest = site_positions(lattice, position)[sites], lattice.site_position[sites]
+    up, spoke, rest_spoke = _normal(ring, "bottom"), ring - ring.mean(axis=0), rest - rest.mean(axis=0)
+    first = rest_spoke[:, 0] @ spoke + rest_spoke[:, 1] @ np.cross(spoke, up)
+    first -= (first @ up) * up
+    size = float(np.linalg.norm(first))
+    if not size > 0.0:
+        raise ValueError("position: the bottom ring is too far from its rest shape to tell how it is turned")
+    return np.stack([first / size, np.cross(up, first / size), up])
+
+
+def bottom_sites(lattice: Lattice) -> IntArray:
+    """Sites of the bottom ring in order of azimuth. Fewer than three span no plane: ValueError."""
+    return _ring(lattice, "bottom", lattice.site_position[:, 2] < lattice.design.height * 1e-9)
 
 
 def top_sites(lattice: Lattice) -> IntArray:
     """Sites of the top ring in order of azimuth. Fewer than three span no plane: ValueError."""
-    height = lattice.site_position[:, 2]
-    top = np.flatnonzero(height > lattice.design.height * (1.0 - 1e-9))
-    if top.size < 3:
+    return _ring(lattice, "top", lattice.site_position[:, 2] > lattice.design.height * (1.0 - 1e-9))
+
+
+def _ring(lattice: Lattice, name: str, mask: npt.NDArray[np.bool_]) -> IntArray:
+    sites = np.flatnonzero(mask)
+    if sites.size < 3:
         raise ValueError(
-            f"lattice: {top.size} sites at the top span no plane, so nothing can be said of bending; at least 3 are "
-            f"needed (LatticeDesign.n_pairs is {lattice.design.n_pairs})"
+            f"lattice: {sites.size} sites at the {name} span no plane, so nothing can be said of how it is tilted; at "
+            f"least 3 are needed (LatticeDesign.n_pairs is {lattice.design.n_pairs})"
         )
-    return top[np.argsort(lattice.site_azimuth[top])]
+    return sites[np.argsort(lattice.site_azimuth[sites])]
 
 
 def top_normal(lattice: Lattice, position: FloatArray) -> FloatArray:
     """Return the unit normal of the top ring, shape (3,): the direction of the area vector of its sites."""
-    return _normal(site_positions(lattice, position)[top_sites(lattice)])
+    return _normal(site_positions(lattice, position)[top_sites(lattice)], "top")
 
 
-def _normal(ring: FloatArray) -> FloatArray:
+def _normal(ring: FloatArray, name: str) -> FloatArray:
     spoke = ring - ring.mean(axis=0)
     area = np.cross(spoke, np.roll(spoke, -1, axis=0)).sum(axis=0)
     size = float(np.linalg.norm(area))
     if not size > 0.0:
-        raise ValueError(f"position: the top ring must enclose an area, got area vector {area.tolist()}")
+        raise ValueError(f"position: the {name} ring must enclose an area, got area vector {area.tolist()}")
     unit: FloatArray = area / size
     return unit
 
@@ -79,9 +114,10 @@ def _normal(ring: FloatArray) -> FloatArray:
 def bend_vector(lattice: Lattice, position: FloatArray) -> FloatArray:
     """Bend angle [rad] times the horizontal unit vector the top leans towards, shape (2,); zero where it is upright.
 
-    The angle is between the normals of the top ring now and at rest, and rest normals are vertical.
+    The angle is between the normals of the top ring and of the base, which is vertical where it is clamped; the vector
+    is along the first two axes of `base_frame`. So a rigid motion of a free body is no bend.
     """
-    normal = top_normal(lattice, position)
+    normal = base_frame(lattice, position) @ top_normal(lattice, position)
     horizontal = float(np.hypot(normal[0], normal[1]))
     if horizontal < LEAST_BEND:
         return np.array([0.0 if normal[2] > 0.0 else np.pi, 0.0])
@@ -90,7 +126,7 @@ def bend_vector(lattice: Lattice, position: FloatArray) -> FloatArray:
 
 
 def bend_angle(lattice: Lattice, position: FloatArray) -> float:
-    """Angle between the normals of the top ring now and at rest [rad], in [0, pi] (Schaffer et al. 2024)."""
+    """Angle between the normals of the top ring and of the base [rad], in [0, pi] (Schaffer et al. 2024)."""
     return float(np.hypot(*bend_vector(lattice, position)))
 
 
@@ -123,11 +159,14 @@ class TravellingWave:
     """How far motion along the body travels, and where to; unpacks as index, direction, speed."""
 
     index: float
-    """1 = pure travelling wave, 0 = standing wave or no motion."""
+    """1 = pure travelling wave, 0 = standing wave, noise or no motion."""
     direction: int
     """+1 up (away from the base), -1 down, 0 where nothing travels."""
     speed: float
     """Phase speed along the rest height [m/s], never negative; 0 where nothing travels."""
+    amplitude: float = 0.0
+    """Amplitude of the dominant mode, whatever it is, in the unit of the recording: sqrt(2) times the root mean square
+    over all levels and times."""
 
     def __iter__(self) -> Iterator[float]:
         """Yield index, direction and speed."""
@@ -140,6 +179,9 @@ def travelling_wave(radii: FloatArray, dt: float, level_height: FloatArray) -> T
     Each level's radius, less its mean over time, becomes an analytic signal; u is the dominant complex mode over the
     levels. The index is the reciprocal condition number of [Re u, Im u]. Speed and direction come from straight lines
     through the unwrapped phases over time and height, so levels must lie closer than half a wavelength.
+
+    Motion that no one mode dominates (LEAST_COHERENCE) or that is too small (LEAST_AMPLITUDE) is no wave: it has an
+    amplitude, and index, direction and speed 0.
 
     The index of a pure wave is 1 where the levels span a whole number of half wavelengths, and somewhat lower elsewhere
     (0.84 where 8 levels span 1/1.2 of a wavelength). Record whole periods: a broken one smears the frequency.
@@ -158,21 +200,25 @@ def travelling_wave(radii: FloatArray, dt: float, level_height: FloatArray) -> T
     _check_recording(radii, dt, level_height)
     motion = radii - radii.mean(axis=0)
     size = np.sqrt(np.mean(motion**2, axis=0))
-    moving = size > max(LEAST_SHARE * float(size.max()), LEAST_MOTION * float(np.abs(radii).max()))
-    if np.count_nonzero(moving) < 2:
+    moving = size > LEAST_SHARE * float(size.max())
+    if not moving.any():
         return TravellingWave(0.0, 0, 0.0)
     signal = _analytic(motion[:, moving]).T
-    modes, _, _ = np.linalg.svd(signal, full_matrices=False)
+    modes, strength, _ = np.linalg.svd(signal, full_matrices=False)
     mode: npt.NDArray[np.complex128] = modes[:, 0]
+    amplitude = float(strength[0]) / float(np.sqrt(radii.size))
+    coherent = strength[0] ** 2 >= LEAST_COHERENCE * np.sum(strength**2)
+    if len(mode) < 2 or not coherent or amplitude < LEAST_AMPLITUDE * float(np.abs(radii).max()):
+        return TravellingWave(0.0, 0, 0.0, amplitude)
     spread = np.linalg.svd(np.stack([mode.real, mode.imag], axis=1), compute_uv=False)
     index = float(spread[1] / spread[0])
     course: npt.NDArray[np.complex128] = mode.conj() @ signal
     frequency = _phase_slope(course, dt * np.arange(len(course), dtype=np.float64))
     wavenumber = -_phase_slope(mode, level_height[moving])
     if index < STANDING or wavenumber == 0.0 or frequency == 0.0:
-        return TravellingWave(index, 0, 0.0)
+        return TravellingWave(index, 0, 0.0, amplitude)
     velocity = frequency / wavenumber
-    return TravellingWave(index, 1 if velocity > 0.0 else -1, abs(velocity))
+    return TravellingWave(index, 1 if velocity > 0.0 else -1, abs(velocity), amplitude)
 
 
 def _check_recording(radii: FloatArray, dt: float, level_height: FloatArray) -> None:

@@ -14,12 +14,24 @@ import numpy as np
 
 from lattice_gym.design import TURN, FloatArray
 from lattice_gym.lattice import Lattice
-from lattice_gym.measures import azimuth_of, bend_vector, ring_radii, strain, top_sites, travelling_wave
+from lattice_gym.measures import (
+    TravellingWave,
+    azimuth_of,
+    base_frame,
+    bend_vector,
+    ring_radii,
+    strain,
+    top_sites,
+    travelling_wave,
+)
 
 EFFORT_WEIGHT = 0.01
 """Price of holding every muscle fully active, per control step: small against what any task pays."""
+BOUND_SLACK = 1e-9
+"""Share of a bound by which a commanded number may lie beyond it: a bound that is reached by arithmetic is rounded."""
 COMMAND_BOUND = 10.0
 """Bound of what a task adds to the observation."""
+WAYS = {1: "up", -1: "down"}
 
 
 class Command(NamedTuple):
@@ -30,8 +42,13 @@ class Command(NamedTuple):
     """Drawn uniformly from [low, high] where it is not given."""
     least: float
     most: float
-    """What may be given lies in [least, most]."""
+    """What may be given lies in [least, most], to rounding."""
     unit: str
+
+    def allows(self, value: float) -> bool:
+        """Tell whether a number may be given."""
+        slack = BOUND_SLACK
+        return self.least - slack * abs(self.least) <= value <= self.most + slack * abs(self.most)
 
 
 class Task(ABC):
@@ -84,6 +101,10 @@ class Task(ABC):
         """Return what the motion came to by now, apart from the reward."""
 
     @abstractmethod
+    def caption(self, position: FloatArray) -> str:
+        """Return the outcome as a line with units, beside what was asked; empty while there is nothing to tell."""
+
+    @abstractmethod
     def _commands(self) -> dict[str, Command]:
         """Bounds of every commanded number."""
 
@@ -105,7 +126,7 @@ class Task(ABC):
                 raise ValueError(f"{argument}: {self.name} commands no {name!r}; it commands {known}")
             bounds = self.commands[name]
             span = f"must be a number from {bounds.least:g} to {bounds.most:g} [{bounds.unit}]"
-            if not is_number(value) or not bounds.least <= value <= bounds.most:
+            if not is_number(value) or not bounds.allows(value):
                 raise ValueError(f"{argument}[{name!r}] = {value!r}: {span}")
             checked[name] = float(value)
         return checked
@@ -120,6 +141,20 @@ def _effort(activation: FloatArray) -> float:
     return -EFFORT_WEIGHT * float(np.mean(activation**2))
 
 
+def _whole(degrees: float) -> int:
+    """Whole degrees from 0 to 359."""
+    return round(degrees) % 360
+
+
+def _strain_caption(lattice: Lattice, position: FloatArray) -> str:
+    return f"strain {100.0 * strain(lattice, position):+.1f} %"
+
+
+def _check_base(lattice: Lattice) -> None:
+    """Refuse a free body whose base cannot tell how it is tilted."""
+    base_frame(lattice, lattice.position.reshape(-1, 3))
+
+
 @final
 class Extension(Task):
     """Grow longer: the reward is the strain."""
@@ -127,6 +162,10 @@ class Extension(Task):
     name = "extension"
     layout = "extension"
     term_names = ("strain", "effort")
+
+    def __init__(self, lattice: Lattice, control_dt: float, command: Mapping[str, float] | None = None) -> None:
+        _check_base(lattice)
+        super().__init__(lattice, control_dt, command)
 
     def observe(self, time: float) -> FloatArray:
         """Nothing is commanded."""
@@ -140,6 +179,10 @@ class Extension(Task):
         """Strain."""
         return {"strain": strain(self.lattice, position)}
 
+    def caption(self, position: FloatArray) -> str:
+        """Strain in per cent."""
+        return _strain_caption(self.lattice, position)
+
     def _commands(self) -> dict[str, Command]:
         return {}
 
@@ -152,6 +195,10 @@ class Compression(Task):
     layout = "compression"
     term_names = ("strain", "effort")
 
+    def __init__(self, lattice: Lattice, control_dt: float, command: Mapping[str, float] | None = None) -> None:
+        _check_base(lattice)
+        super().__init__(lattice, control_dt, command)
+
     def observe(self, time: float) -> FloatArray:
         """Nothing is commanded."""
         return np.empty(0)
@@ -163,6 +210,10 @@ class Compression(Task):
     def outcome(self, position: FloatArray) -> dict[str, float]:
         """Strain, negative when shorter."""
         return {"strain": strain(self.lattice, position)}
+
+    def caption(self, position: FloatArray) -> str:
+        """Strain in per cent."""
+        return _strain_caption(self.lattice, position)
 
     def _commands(self) -> dict[str, Command]:
         return {}
@@ -179,6 +230,7 @@ class Bending(Task):
 
     def __init__(self, lattice: Lattice, control_dt: float, command: Mapping[str, float] | None = None) -> None:
         top_sites(lattice)  # refuses a lattice whose top is no plane
+        _check_base(lattice)
         super().__init__(lattice, control_dt, command)
 
     def observe(self, time: float) -> FloatArray:
@@ -197,6 +249,14 @@ class Bending(Task):
         bend = bend_vector(self.lattice, position)
         return {"bend_angle": float(np.hypot(*bend)), "bend_direction": azimuth_of(bend)}
 
+    def caption(self, position: FloatArray) -> str:
+        """Bend angle, its direction and the one asked for, in degrees."""
+        bend = bend_vector(self.lattice, position)
+        angle, towards, asked = np.degrees([np.hypot(*bend), azimuth_of(bend), self.command["azimuth"] % TURN])
+        # What leans by less than is printed leans no way.
+        way = f"towards {_whole(towards)} deg " if angle >= 0.05 else ""
+        return f"bend {angle:.1f} deg {way}(asked: {_whole(asked)} deg)"
+
     def _towards(self) -> FloatArray:
         azimuth = self.command["azimuth"]
         return np.array([np.cos(azimuth), np.sin(azimuth)])
@@ -213,9 +273,11 @@ class Peristalsis(Task):
     from its rest radius, as a share of it; a positive speed runs up, away from the base. The levels that can move
     count: all but the base, where that is clamped. The reward is the share of the commanded wave that is followed,
 
-        tracking = (sum target^2 - sum (deviation - target)^2) / (n_level amplitude^2 / 2),
+        tracking = (sum target^2 - sum (deviation - target)^2) / (n_level amplitude^2 / 2 + sum (deviation - target)^2),
 
-    which is zero for doing nothing, near 1 for following perfectly, and negative for motion that leads away.
+    with sums over the levels. It is zero for doing nothing; for following perfectly it is the first sum over its mean
+    n_level amplitude^2 / 2, which is 1 on average and at most 2; it is negative for motion that leads away, and never
+    below -1, however far away that is.
 
     What is drawn was chosen from what the body can do: see FULL_DRIVE_AMPLITUDE in gaits.py, and the test
     `test_the_antiphase_gait_can_make_the_wave_that_is_drawn`, which measures it.
@@ -281,15 +343,38 @@ class Peristalsis(Task):
         target = self.target(time)
         # sum target^2 - sum (deviation - target)^2, without the rounding of a difference
         followed = float((2.0 * target - deviation) @ deviation)
-        tracking = followed / (0.5 * len(target) * self.command["amplitude"] ** 2)
+        error = float(np.sum((deviation - target) ** 2))
+        tracking = followed / (0.5 * len(target) * self.command["amplitude"] ** 2 + error)
         return {"tracking": tracking, "effort": _effort(activation)}
 
     def outcome(self, position: FloatArray) -> dict[str, float]:
-        """Index, direction and speed [m/s] of the wave over the last two commanded periods; 0 until two have passed."""
+        """Index, direction, speed [m/s] and amplitude (a share of the rest radius) of the wave.
+
+        Measured over the last two commanded periods; 0 until two have passed.
+        """
+        wave = self._wave() or TravellingWave(0.0, 0, 0.0)
+        return {
+            "wave_index": wave.index,
+            "wave_direction": float(wave.direction),
+            "wave_speed": wave.speed,
+            "wave_amplitude": wave.amplitude,
+        }
+
+    def caption(self, position: FloatArray) -> str:
+        """Index, way, speed and amplitude beside those asked for; empty until two commanded periods have passed."""
+        wave = self._wave()
+        if wave is None:
+            return ""
+        speed = self.command["speed"]
+        way = f"{WAYS[wave.direction]} at {wave.speed:.3f} m/s" if wave.direction else "going nowhere"
+        asked = f"{WAYS[int(np.sign(speed))]} at {abs(speed):.3f} m/s, {100.0 * self.command['amplitude']:.1f} %"
+        return f"wave index {wave.index:.2f}, {way}, amplitude {100.0 * wave.amplitude:.1f} % (asked: {asked})"
+
+    def _wave(self) -> TravellingWave | None:
+        """Wave over the last two commanded periods; None until two have passed."""
         if len(self.recorded) != self.recorded.maxlen:
-            return {"wave_index": 0.0, "wave_direction": 0.0, "wave_speed": 0.0}
-        wave = travelling_wave(1.0 + np.array(self.recorded), self.control_dt, self.height)
-        return {"wave_index": wave.index, "wave_direction": float(wave.direction), "wave_speed": wave.speed}
+            return None
+        return travelling_wave(1.0 + np.array(self.recorded), self.control_dt, self.height)
 
     def _phase(self, time: float) -> float:
         return TURN * self.command["speed"] / self.command["wavelength"] * time + self.command["phase"]
@@ -300,10 +385,10 @@ class Peristalsis(Task):
     def _check_wave(self, argument: str, command: Mapping[str, float]) -> None:
         """Refuse a wave that stands, or that is too fast to be sampled by control steps."""
         speed, slowest = abs(command["speed"]), self.SLOWEST * self.lattice.design.height
-        if speed < slowest:
+        if speed < slowest * (1.0 - BOUND_SLACK):
             raise ValueError(f"{argument}['speed'] = {command['speed']:g}: at least {slowest:g} [m/s], up or down")
         period, shortest = command["wavelength"] / speed, self.LEAST_STEPS * self.control_dt
-        if period < shortest * (1.0 - 1e-9):
+        if period < shortest * (1.0 - BOUND_SLACK):
             raise ValueError(
                 f"{argument}: a wave of speed {speed:g} m/s and wavelength {command['wavelength']:g} m has a period of "
                 f"{period:g} s; it must last {self.LEAST_STEPS} control steps, {shortest:g} s (control_dt = "

@@ -31,7 +31,8 @@ from lattice_gym.lattice import build_lattice
 from lattice_gym.measures import site_positions
 from lattice_gym.model import stable_dt
 from lattice_gym.muscles import advance_activation, named_layout
-from lattice_gym.tasks import TASKS, Peristalsis
+from lattice_gym.tasks import EFFORT_WEIGHT, TASKS, Peristalsis
+from lattice_gym.trajectory import Recorder
 
 IDS = {
     "LatticeWorm-v0": ("peristalsis", 90, 200),
@@ -237,6 +238,46 @@ def test_specs_survive_json(form: str) -> None:
     assert _same(_episode(env, 3), _episode(again, 3))
 
 
+def test_numpy_arguments() -> None:
+    """Taken as they are; JSON knows them only as plain numbers, and says so."""
+    groups = LatticeWormEnv(control="ring").groups
+    kwargs: dict[str, Any] = {
+        "control": groups,
+        "rhythm": np.float32(1.0),
+        "control_dt": np.float64(0.05),
+        "command": {"speed": np.float32(0.125), "phase": np.int64(1)},
+    }
+    env = gymnasium.make("LatticeWorm-v0", **kwargs)
+    plain = kwargs | {"control": groups.tolist(), "rhythm": 1.0, "command": {"speed": 0.125, "phase": 1}}
+    same = gymnasium.make("LatticeWorm-v0", **plain)
+    assert env.spec is not None
+    assert same.spec is not None
+    with pytest.raises(TypeError, match="not JSON serializable"):
+        env.spec.to_json()
+    again = gymnasium.make(EnvSpec.from_json(same.spec.to_json()))
+    assert _same(_episode(env, 2), _episode(again, 2))
+    assert _same(_episode(env, 2), _episode(same, 2))
+
+
+def test_rings_cannot_bend() -> None:
+    """Alike all round, as the docstring says; muscles and columns can."""
+    assert "cannot bend" in str(LatticeWormEnv.__doc__)
+    largest = {}
+    for control in ("ring", "column"):
+        env = LatticeWormEnv("bending", control=control)
+        largest[control] = max(step[4]["outcome"]["bend_angle"] for step in _episode(env, 20)[1:])
+    assert largest["ring"] < 1e-6
+    assert largest["column"] > 0.01
+
+
+def test_names_of_the_package() -> None:
+    """What the README builds muscles with."""
+    lattice = build_lattice(LatticeDesign())
+    layout = lattice_gym.vertical(lattice) | lattice_gym.horizontal(lattice) | lattice_gym.tie(lattice, [(0, 17)])
+    assert lattice_gym.resolve_layout(layout.to_dict(), lattice) == layout
+    assert all(hasattr(lattice_gym, name) for name in lattice_gym.__all__)
+
+
 @pytest.mark.parametrize("copied", [lambda env: pickle.loads(pickle.dumps(env)), copy.deepcopy])
 def test_copies_go_on_exactly(copied: Any, engine_name: EngineName) -> None:
     """A copy made within an episode goes on as the original does, on either engine, and apart from it."""
@@ -436,15 +477,23 @@ def test_divergence_ends_the_episode_and_never_pays(task: str, engine_name: Engi
     assert env.state.time == 0.0
 
 
-def test_no_episode_earns_the_penalty_back() -> None:
-    """Most that a step can earn: all of the wave at its crest, half a turn, rods stretched to the limit, up or down."""
-    most = {
-        "peristalsis": 2.0,
-        "bending": np.pi,
-        "extension": MAX_DILATATION - 1.0,
-        "compression": MAX_DILATATION + 1.0,
+def test_no_episode_is_worse_than_divergence() -> None:
+    """Not even the best one cut short by it, beside the worst that lasts: bounds of the terms times registered steps.
+
+    Tracking is bounded by its form, a bend is at most half a turn (sideways sqrt 2 of that counts against, as a vector
+    a has |a.x| + |a.y| <= sqrt 2 |a|), and rods are stretched to the engines' limit, either way up.
+    """
+    longest = MAX_DILATATION + 1.0
+    bounds = {
+        "peristalsis": (-1.0, 2.0),
+        "bending": (-np.sqrt(2.0) * np.pi, np.pi),
+        "extension": (-longest, longest),
+        "compression": (-longest, longest),
     }
-    assert max(most[task] * limit for task, _, limit in IDS.values()) < DIVERGENCE_PENALTY
+    assert set(bounds) == set(TASKS)
+    for task, _, limit in IDS.values():
+        least, most = bounds[task]
+        assert most * limit - DIVERGENCE_PENALTY < (least - EFFORT_WEIGHT) * limit
 
 
 def test_any_engine_failure_is_survived(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -463,6 +512,28 @@ def test_any_engine_failure_is_survived(monkeypatch: pytest.MonkeyPatch) -> None
     assert terminated
     assert info["status"] == "inverted (rod 4, element 2)"
     assert pickle.dumps(env.state) == state == pickle.dumps(env._engine.state)
+    assert env.task.caption(env.state.position) == ""
+
+
+def test_time_goes_on_where_physics_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each step has its own time, the failed one too, so that it can be recorded; what is observed stays as it was."""
+    env = LatticeWormEnv(design=SMALL, command=SMALL_WAVE, rhythm=1.3)
+    observation, _ = env.reset(seed=0)
+    recorder = Recorder(env.design, env.layout, env.task.name)
+    for step in range(4):
+        recorder.append(env.time, env.state.position, env.activation)
+        assert env.time == pytest.approx(0.05 * step)
+        before = observation
+        if step == 2:
+            monkeypatch.setattr(env._engine, "advance", lambda tension, n_substeps: Health(Status.NON_FINITE, 0, 0))
+        if step < 3:
+            observation, _, terminated, _, _ = env.step(np.ones(N_SMALL))
+    assert terminated
+    np.testing.assert_array_equal(observation, before)
+    assert np.all(np.diff(recorder.build().time) > 0.0)
+    assert env.time == pytest.approx(0.15)
+    assert env.reset(seed=0)[0] in env.observation_space
+    assert env.time == 0.0
 
 
 def test_far_observations_are_clipped_and_counted() -> None:
@@ -478,7 +549,7 @@ def test_far_observations_are_clipped_and_counted() -> None:
     assert observation in env.observation_space
 
 
-def test_rendering() -> None:
+def test_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
     """A picture that changes as the worm moves; none without a render mode; close may be called again."""
     env = LatticeWormEnv("extension", render_mode="rgb_array")
     env.reset(seed=0)
@@ -492,6 +563,11 @@ def test_rendering() -> None:
     assert (first != second).any()
     again = pickle.loads(pickle.dumps(env)).render()
     np.testing.assert_allclose(again.astype(float), second.astype(float), atol=2.0)
+    drawn: list[str] = []
+    monkeypatch.setattr(env._renderer, "update", lambda *arguments: drawn.append(arguments[-1]))
+    env.render()
+    assert drawn == [env.task.caption(env.state.position)]
+    assert drawn[0].startswith("strain +")
     env.close()
     env.close()
     assert LatticeWormEnv("extension").render() is None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lattice_gym.design import LatticeDesign
-from lattice_gym.gaits import FULL_DRIVE_AMPLITUDE, LEAD, bending_gait, gait, grouped, peristalsis_gait
+from lattice_gym.gaits import FULL_DRIVE_AMPLITUDE, LEAD, Gait, bending_gait, gait, grouped, peristalsis_gait
 from lattice_gym.lattice import build_lattice
 from lattice_gym.muscles import MuscleLayout, control_groups, named_layout, tie
 
@@ -109,6 +110,36 @@ def test_wrong_arguments(task: str, command: Mapping[str, float], message: str) 
     """The error names what is wrong."""
     with pytest.raises(ValueError, match=message):
         gait(task, LATTICE, ALL, command)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 10**400, "x", None, True])
+@pytest.mark.parametrize("name", ["speed", "wavelength", "amplitude", "phase", "azimuth", "time", "lead", "ring_share",
+                                  "top_share", "sharpness"])  # fmt: skip
+def test_numbers_must_be_finite(name: str, value: Any) -> None:
+    """The error names the field, and nothing becomes NaN."""
+    calls: dict[str, Callable[[], object]] = {
+        "time": lambda: gait("extension", LATTICE, ALL, {})(value),
+        "azimuth": lambda: gait("bending", LATTICE, ALL, {"azimuth": value}),
+        "sharpness": lambda: bending_gait(LATTICE, ALL, 1.0, value),
+    }
+    with pytest.raises(ValueError, match=rf"^{name} = "):
+        calls.get(name, lambda: peristalsis_gait(LATTICE, ALL, **(WAVE | {name: value})))()
+
+
+@pytest.mark.parametrize("name", ["speed", "wavelength", "amplitude"])
+def test_waves_need_a_speed_a_length_and_an_amplitude(name: str) -> None:
+    """None may be 0."""
+    with pytest.raises(ValueError, match=rf"^{name} = 0"):
+        gait("peristalsis", LATTICE, ALL, WAVE | {name: 0.0})
+
+
+def test_gaits_made_by_hand_must_be_finite() -> None:
+    """Arrays and numbers alike."""
+    one = np.ones(3)
+    with pytest.raises(ValueError, match=r"^swing = "):
+        Gait(offset=one, swing=one * np.nan, phase=one)
+    with pytest.raises(ValueError, match=r"^frequency = nan"):
+        Gait(offset=one, swing=one, phase=one, frequency=float("nan"))
 
 
 def test_grouped_needs_one_command_a_muscle() -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from lattice_gym.design import FloatArray, LatticeDesign
 from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.measures import (
+    base_frame,
     bend_angle,
     bend_direction,
     bend_vector,
@@ -26,6 +27,7 @@ from lattice_gym.muscles import named_layout
 
 LATTICE = build_lattice(LatticeDesign())
 REST = LATTICE.position.reshape(-1, 3)
+FREE = build_lattice(LatticeDesign(base="free"))
 HEIGHTS = np.arange(1, 9) / 80.0
 """Eight levels, 1/80 m apart: they span one wavelength of 0.1 m."""
 
@@ -78,6 +80,47 @@ def test_bend(angle: float, azimuth: float) -> None:
     direction = bend_direction(LATTICE, position)
     assert 0.0 <= direction < 2 * np.pi
     assert np.cos(direction - azimuth) == pytest.approx(1.0, abs=1e-9)
+
+
+@given(
+    angle=st.floats(-np.pi, np.pi),
+    azimuth=st.floats(0.0, 6.28),
+    turn=st.floats(-np.pi, np.pi),
+    away=st.floats(-1.0, 1.0),
+    seed=st.integers(0, 100),
+)
+def test_rigid_motions_of_a_free_body(angle: float, azimuth: float, turn: float, away: float, seed: int) -> None:
+    """Any shape, turned and moved whole, keeps its bend, its direction, its strain and its ring radii."""
+    shape = REST * [1.0, 1.0, 1.3] + 1e-3 * np.random.default_rng(seed).standard_normal(REST.shape)
+    shape += np.outer((REST[:, 2] / 0.1) ** 2, [0.03, 0.02, 0.0]) + REST[:, :1] * (REST[:, 2:] / 0.1) ** 2 * [
+        0,
+        0,
+        -0.5,
+    ]
+    spin = np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    moved = _turned(shape @ spin, angle, azimuth) + away
+    assert bend_angle(FREE, shape) > 0.3
+    np.testing.assert_allclose(bend_vector(FREE, moved), bend_vector(FREE, shape), atol=1e-9)
+    assert strain(FREE, moved) == pytest.approx(strain(FREE, shape), abs=1e-9)
+    np.testing.assert_allclose(ring_radii(FREE, moved), ring_radii(FREE, shape), rtol=1e-9)
+    np.testing.assert_allclose(base_frame(FREE, moved) @ base_frame(FREE, moved).T, np.eye(3), atol=1e-12)
+
+
+@given(angle=st.floats(-np.pi, np.pi), azimuth=st.floats(0.0, 6.28))
+def test_a_tilted_free_body_is_at_rest(angle: float, azimuth: float) -> None:
+    """No bend, no strain; upside down too."""
+    moved = _turned(REST, angle, azimuth)
+    assert bend_angle(FREE, moved) < 1e-9
+    assert strain(FREE, moved) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_base_that_cannot_tell_how_it_is_turned() -> None:
+    """A ring of no area is refused, and one of two sites."""
+    with pytest.raises(ValueError, match=r"position: the bottom ring must enclose"):
+        strain(FREE, np.zeros_like(REST))
+    narrow = build_lattice(LatticeDesign(n_pairs=2, period_ratio=1.0, base="free"))
+    with pytest.raises(ValueError, match=r"lattice: 2 sites at the bottom"):
+        strain(narrow, narrow.position.reshape(-1, 3))
 
 
 def test_an_upright_top_has_no_direction() -> None:
@@ -166,7 +209,9 @@ def test_still_levels_are_left_out() -> None:
     radii, level_height = _wave(1.0, 0.0, 0.1, 1.0, 40, 0.05), np.concatenate([[0.0], HEIGHTS])
     noise = 1e-6 * np.random.default_rng(0).standard_normal((40, 1))
     expected = travelling_wave(radii, 0.05, HEIGHTS)
-    assert travelling_wave(np.hstack([0.0375 + noise, radii]), 0.05, level_height) == expected
+    wave = travelling_wave(np.hstack([0.0375 + noise, radii]), 0.05, level_height)
+    assert tuple(wave) == tuple(expected)
+    assert wave.amplitude == pytest.approx(expected.amplitude * np.sqrt(8.0 / 9.0))
 
 
 @pytest.mark.parametrize("moving", [0, 1])
@@ -176,6 +221,44 @@ def test_no_wave(moving: int) -> None:
     radii[:, :moving] += 1e-3 * np.sin(np.arange(40))[:, None]
     assert tuple(travelling_wave(radii, 0.05, HEIGHTS)) == (0.0, 0, 0.0)
     assert tuple(travelling_wave(np.zeros((4, 8)), 0.05, HEIGHTS)) == (0.0, 0, 0.0)
+
+
+@given(amplitude=st.floats(1e-4, 0.03))
+def test_amplitude(amplitude: float) -> None:
+    """Exact for a pure wave; a standing one has 1 / sqrt 2 of it at its crests on average."""
+    radii = 0.0375 + amplitude * 1e3 * (_wave(1.0, 0.0, 0.1, 1.0, 40, 0.05) - 0.0375)
+    assert travelling_wave(radii, 0.05, HEIGHTS).amplitude == pytest.approx(amplitude, rel=1e-9)
+    radii = 0.0375 + amplitude * 1e3 * (_wave(0.5, 0.5, 0.1, 1.0, 40, 0.05) - 0.0375)
+    assert travelling_wave(radii, 0.05, HEIGHTS).amplitude == pytest.approx(amplitude / np.sqrt(2.0), rel=1e-9)
+
+
+@given(seed=st.integers(0, 2**32 - 1), n_time=st.integers(16, 80), size=st.floats(1e-6, 1.0))
+def test_noise_is_no_wave(seed: int, n_time: int, size: float) -> None:
+    """White noise of any size has an amplitude, and nothing that travels."""
+    radii = 1.0 + size * np.random.default_rng(seed).standard_normal((n_time, 8))
+    wave = travelling_wave(radii, 0.05, HEIGHTS)
+    assert tuple(wave) == (0.0, 0, 0.0)
+    assert wave.amplitude > 0.3 * size
+
+
+@pytest.mark.parametrize(("noise", "travels"), [(0.1, True), (0.2, True), (0.5, False), (2.0, False)])
+def test_a_wave_in_noise(noise: float, travels: bool) -> None:
+    """Noise of a share of the amplitude in every radius: a ninth of the power is the floor, 0.24 of the amplitude."""
+    radii = _wave(1.0, 0.0, 0.1, 1.0, 40, 0.05)
+    radii += noise * 1e-3 * np.random.default_rng(3).standard_normal(radii.shape)
+    wave = travelling_wave(radii, 0.05, HEIGHTS)
+    assert (wave.direction == 1) == travels
+    if travels:
+        assert wave.speed == pytest.approx(0.1, rel=0.05)
+
+
+@pytest.mark.parametrize(("size", "travels"), [(1e-3, True), (6e-4, True), (4e-4, False), (1e-9, False)])
+def test_a_vanishing_wave_is_none(size: float, travels: bool) -> None:
+    """Below half a thousandth of the radius nothing travels."""
+    radii = 1.0 + 1e3 * size * (_wave(1.0, 0.0, 0.1, 1.0, 40, 0.05) - 0.0375)
+    wave = travelling_wave(radii, 0.05, HEIGHTS)
+    assert (wave.index > 0.99) == (wave.direction == 1) == travels
+    assert wave.amplitude == pytest.approx(size, rel=1e-5)
 
 
 @given(seed=st.integers(0, 2**32 - 1), n_time=st.integers(4, 60), n_level=st.integers(1, 9), size=st.floats(0.0, 1e3))

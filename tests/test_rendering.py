@@ -421,6 +421,32 @@ def test_gif(trajectory: Trajectory, tmp_path: Path) -> None:
             assert np.abs(np.asarray(animation.convert("RGB"), float) - pictures[k]).mean() < 8.0
 
 
+@pytest.mark.parametrize("rate", [20.0, 30.0, 12.5, 50.0])
+def test_gif_keeps_time(trajectory: Trajectory, tmp_path: Path, rate: float) -> None:
+    """Whole hundredths of a second a picture, of which none is lost in the sum, nor by any picture."""
+    path = tmp_path / "worm.gif"
+    render_video(trajectory, path, fps=rate, size=(64, 64))
+    count = len(video._schedule(trajectory.time, rate, 1.0)[0])
+    total = 0.0
+    with Image.open(path) as animation:
+        for k in range(getattr(animation, "n_frames", 1)):
+            animation.seek(k)
+            total += animation.info["duration"]
+    assert abs(total - 1000.0 * count / rate) <= 5.0
+    ends = np.cumsum(video._durations(1000, rate))
+    assert np.abs(ends - 1000.0 / rate * np.arange(1, 1001)).max() <= 5.0 + 1e-6
+    assert min(video._durations(1000, rate)) >= 20
+
+
+def test_gifs_have_a_fastest_rate(trajectory: Trajectory, tmp_path: Path) -> None:
+    """Asked for, a faster one is refused; by default pictures are left out."""
+    with pytest.raises(ValueError, match=r"^fps = 60.0: must be at most 50"):
+        render_video(trajectory, tmp_path / "worm.gif", fps=60.0)
+    assert not list(tmp_path.iterdir())
+    time = np.linspace(0.0, 1.0, 61)
+    assert video._schedule(time, None, 1.0, video.FASTEST_GIF)[1] == pytest.approx(30.0)
+
+
 def stop(done: int, total: int) -> None:
     """End a video half-way."""
     if done > total // 2:

@@ -100,22 +100,42 @@ def test_bending(angle: float, azimuth: float, command: float) -> None:
 
 @given(share=st.floats(-1.0, 2.0), phase=st.floats(-6.0, 6.0), time=st.floats(0.0, 5.0), up=st.booleans())
 def test_tracking(share: float, phase: float, time: float, up: bool) -> None:
-    """A share s of the commanded wave earns 2 s - s^2: 1 for all of it, 0 for none, -3 for its opposite."""
+    """A share s of the commanded wave earns (2 s - s^2) / (1 + (1 - s)^2): 1 for all, -3/5 for its opposite."""
     task = make_task("peristalsis", LATTICE, 0.05, WAVE | {"speed": 0.1 if up else -0.1, "phase": phase})
     assert isinstance(task, Peristalsis)
     # The 8 levels span one wavelength, so sums over them do not depend on the time.
     target = 0.05 * np.cos(2 * np.pi * ((1 if up else -1) * time - np.arange(1, 9) / 8) + phase)
     np.testing.assert_allclose(task.target(time), target, atol=1e-12)
     earned = task.terms(_widened(share * target), CALM, time)["tracking"]
-    assert earned == pytest.approx(2.0 * share - share**2, abs=1e-9)
+    assert earned == pytest.approx((2.0 * share - share**2) / (1.0 + (1.0 - share) ** 2), abs=1e-9)
 
 
-def test_no_still_shape_follows_a_wave() -> None:
-    """Over a whole period any fixed deviation costs its own square and earns nothing."""
+@given(deviation=st.lists(st.floats(-0.9, 3.0), min_size=8, max_size=8), wave=st.integers(0, 50))
+def test_tracking_is_bounded(deviation: list[float], wave: int) -> None:
+    """From -1 to 2 whatever the rings do and whatever wave may be asked for."""
+    rng = np.random.default_rng(wave)
+    command = {"speed": 0.08, "wavelength": rng.uniform(0.04, 1.0), "amplitude": rng.uniform(0.001, 0.5)}
+    task = make_task("peristalsis", LATTICE, 0.05, command | {"phase": rng.uniform(-6.0, 6.0)})
+    assert -1.0 <= task.terms(_widened(np.array(deviation)), CALM, 0.3)["tracking"] <= 2.0
+
+
+@given(seed=st.integers(0, 1000), size=st.floats(1e-3, 0.5))
+def test_no_still_shape_follows_a_wave(seed: int, size: float) -> None:
+    """Over a whole period any fixed deviation costs, and none costs more than 1 a step."""
     task = make_task("peristalsis", LATTICE, 0.05, WAVE)
-    deviation = np.random.default_rng(2).uniform(-0.05, 0.05, 8)
+    deviation = np.random.default_rng(seed).uniform(-size, size, 8)
     earned = [task.terms(_widened(deviation), CALM, 0.05 * k)["tracking"] for k in range(20)]
-    assert np.mean(earned) == pytest.approx(-np.sum(deviation**2) / (8 * 0.05**2 / 2))
+    assert -1.0 <= np.mean(earned) < 0.0
+
+
+def test_holding_all_rings_costs_little() -> None:
+    """An unbounded error paid -2874 for an episode of it, less than blowing up at its start."""
+    rewards, _ = _play(
+        "peristalsis",
+        lambda env: np.array([float(m.orientation == "horizontal") for m in env.layout.active]),
+        amplitude=0.04,
+    )
+    assert -200.0 * (1.0 + EFFORT_WEIGHT) < rewards.sum() < 0.0
 
 
 def test_the_wave_is_measured_over_two_periods() -> None:
@@ -124,14 +144,104 @@ def test_the_wave_is_measured_over_two_periods() -> None:
     assert isinstance(task, Peristalsis)
     task.begin(np.random.default_rng(0), None)
     for step in range(1, 41):
-        assert task.outcome(REST) == {"wave_index": 0.0, "wave_direction": 0.0, "wave_speed": 0.0}
+        assert set(task.outcome(REST).values()) == {0.0}
+        assert task.caption(REST) == ""
         task.terms(_widened(task.target(0.05 * step)), CALM, 0.05 * step)
     outcome = task.outcome(REST)
     assert outcome["wave_index"] > 0.99
     assert outcome["wave_direction"] == -1.0
     assert outcome["wave_speed"] == pytest.approx(0.1, rel=1e-6)
+    assert outcome["wave_amplitude"] == pytest.approx(0.05, rel=1e-6)
+    asked = "(asked: down at 0.100 m/s, 5.0 %)"
+    assert task.caption(REST) == f"wave index 1.00, down at 0.100 m/s, amplitude 5.0 % {asked}"
+    for step in range(41, 81):
+        task.terms(REST, CALM, 0.05 * step)
+    assert task.caption(REST) == f"wave index 0.00, going nowhere, amplitude 0.0 % {asked}"
     task.begin(np.random.default_rng(0), None)
     assert task.outcome(REST)["wave_index"] == 0.0
+
+
+@pytest.mark.parametrize("control", ["muscle", "ring", "column"])
+def test_random_actions_make_no_wave(control: str) -> None:
+    """Of a direction and a speed; how far the radii moved is told all the same."""
+    for seed in range(3):
+        env = LatticeWormEnv(control=control)
+        env.reset(seed=seed)
+        rng, info = np.random.default_rng(seed), dict[str, Any]()
+        for _ in range(80):
+            info = env.step(rng.random(env.action_space.shape))[4]
+        outcome = info["outcome"]
+        assert (outcome["wave_index"], outcome["wave_direction"], outcome["wave_speed"]) == (0.0, 0.0, 0.0)
+        assert 0.004 < outcome["wave_amplitude"] < 0.05
+
+
+@pytest.mark.parametrize(("drive", "travels"), [(1.0, True), (0.1, True), (1e-4, False)])
+def test_a_vanishing_gait_makes_no_wave(drive: float, travels: bool) -> None:
+    """A tenth of the drive still does, and its amplitude says how little."""
+    env = LatticeWormEnv(command=WAVE)
+    env.reset(seed=0)
+    wave, info = gait("peristalsis", env.lattice, env.layout, env.task.command), dict[str, Any]()
+    for _ in range(80):
+        info = env.step(drive * wave(env.time))[4]
+    outcome = info["outcome"]
+    assert (outcome["wave_index"] > 0.8) == (outcome["wave_direction"] == 1.0) == travels
+    assert outcome["wave_amplitude"] == pytest.approx(0.048 * drive, rel=0.1)
+
+
+def test_captions() -> None:
+    """Units, and what was asked beside what came; what stands upright leans no way."""
+    assert make_task("extension", LATTICE, 0.05).caption(REST * [1.0, 1.0, 1.311]) == "strain +31.1 %"
+    assert make_task("compression", LATTICE, 0.05).caption(REST * [1.0, 1.0, 0.8]) == "strain -20.0 %"
+    bending = make_task("bending", LATTICE, 0.05, {"azimuth": np.radians(-270.0)})
+    tipped = _tipped(np.radians(24.6), np.radians(92.0))
+    assert bending.caption(tipped) == "bend 24.6 deg towards 92 deg (asked: 90 deg)"
+    assert bending.caption(_tipped(0.1, np.radians(359.7))) == "bend 5.7 deg towards 0 deg (asked: 90 deg)"
+    assert bending.caption(REST) == "bend 0.0 deg (asked: 90 deg)"
+
+
+@pytest.mark.parametrize("height", [0.1, 0.03, 0.07, 0.11, 0.3, 0.7, 1.3])
+def test_bounds_of_commands_are_reached(height: float) -> None:
+    """Each may be given exactly as documented, however its arithmetic rounds; a thousandth beyond is refused."""
+    lattice = build_lattice(LatticeDesign(height=height, diameter=0.75 * height, structure_radius=0.05 * height))
+    spacing = float(lattice.level_height[1] - lattice.level_height[0])
+    still, long = {"speed": height}, {"wavelength": 10 * height}
+    for name, value, outwards, rest in (
+        ("speed", 0.1 * height, 0.999, {}),
+        ("speed", height / 10, 0.999, {}),
+        ("speed", -0.1 * height, 0.999, {}),
+        ("speed", 10 * height, 1.001, long),
+        ("speed", -height / 0.1, 1.001, long),
+        ("wavelength", 3 * spacing, 0.999, still),
+        ("wavelength", 3 * height / 8, 0.999, still),
+        ("wavelength", 0.375 * height, 0.999, still),
+        ("wavelength", height / 0.1, 1.001, {}),
+        ("amplitude", 0.001, 0.999, {}),
+        ("amplitude", 0.5, 1.001, {}),
+        ("phase", 2 * np.pi, 1.001, {}),
+        ("phase", -2 * np.pi, 1.001, {}),
+    ):
+        task = make_task("peristalsis", lattice, 0.05, rest | {name: value})
+        task.begin(np.random.default_rng(0), {name: value})
+        assert np.all(np.abs(task.observe(0.0).astype(np.float32)) <= np.array(task.bounds, dtype=np.float32))
+        with pytest.raises(ValueError, match=rf"^command\['{name}'\]"):
+            make_task("peristalsis", lattice, 0.05, rest | {name: outwards * value})
+    for azimuth in (2 * np.pi, -2 * np.pi):
+        make_task("bending", lattice, 0.05, {"azimuth": azimuth})
+
+
+@pytest.mark.parametrize("command", [{"speed": 0.01, "wavelength": 0.1}, {"wavelength": 0.0375, "speed": 0.1}])
+def test_bounds_of_the_default_design(command: dict[str, float]) -> None:
+    """A tenth of a height a second, and three level spacings."""
+    make_task("peristalsis", LATTICE, 0.05, command)
+
+
+def test_a_free_body_is_not_paid_for_tilting() -> None:
+    """Tipped over whole it neither bends, stretches nor shrinks; the same body on a clamped base bends."""
+    lattice = build_lattice(LatticeDesign(base="free"))
+    for name, term in (("bending", "bend"), ("extension", "strain"), ("compression", "strain")):
+        terms = make_task(name, lattice, 0.05).terms(_tipped(0.7, 1.0), CALM, 0.0)
+        assert terms[term] == pytest.approx(0.0, abs=1e-12)
+    assert make_task("bending", LATTICE, 0.05, {"azimuth": 1.0}).terms(_tipped(0.7, 1.0), CALM, 0.0)["bend"] > 0.69
 
 
 def test_commands_are_drawn_within_their_ranges(task: Task) -> None:
@@ -194,6 +304,11 @@ def test_wrong_commands(name: str, command: Any, message: str) -> None:
     [
         ("bending", LatticeDesign(n_pairs=2, period_ratio=1.0), r"^lattice: 2 sites at the top span no plane"),
         ("peristalsis", LatticeDesign(n_pairs=2, period_ratio=2.0), r"^design: peristalsis needs at least 3 levels"),
+        (
+            "extension",
+            LatticeDesign(n_pairs=2, period_ratio=1.0, base="free"),
+            r"^lattice: 2 sites at the bottom span no plane",
+        ),
         (
             "peristalsis",
             LatticeDesign(phases=(0.0, 0.9, 2.0, 3.1, 4.3, 5.2) * 2, period_ratio=1.0),
@@ -266,7 +381,7 @@ def test_the_antiphase_gait_can_make_the_wave_that_is_drawn(speed: float, wavele
     amplitude = 0.5 * (middle.max(axis=0) - middle.min(axis=0))
     np.testing.assert_allclose(amplitude, FULL_DRIVE_AMPLITUDE, rtol=0.15)
     np.testing.assert_allclose(middle.mean(axis=0), 0.0, atol=0.01)
-    assert np.mean(rewards[40:]) > 0.8
+    assert np.mean(rewards[40:]) > 0.75
     assert info["outcome"]["wave_index"] > 0.7
     assert info["outcome"]["wave_direction"] == np.sign(speed)
     assert info["outcome"]["wave_speed"] == pytest.approx(abs(speed), rel=0.1)

@@ -19,6 +19,9 @@ from lattice_gym.rendering.extras import extra
 from lattice_gym.rendering.scene import Renderer
 from lattice_gym.trajectory import Trajectory, replacing
 
+FASTEST, FASTEST_GIF = 60.0, 50.0
+"""Most pictures a second of a video by default; and of a GIF at all, as viewers slow down what is faster."""
+
 
 def render_video(
     trajectory: Trajectory,
@@ -33,18 +36,23 @@ def render_video(
     A path that ends in .gif gives an animated GIF, any other an mp4 (H.264, yuv420p).
 
     Each picture shows the frame last recorded by then. The default rate shows every frame once, where that makes 10 to
-    60 pictures a second. Width and height must be even. ``progress`` is called with the numbers of pictures done and of
-    all. The file appears under its name only once it is complete.
+    60 pictures a second (50 in a GIF, whose viewers slow down what is faster). A GIF counts time in hundredths of a
+    second, so its pictures last a hundredth more or less where the rate asks for parts of one. Width and height must be
+    even. ``progress`` is called with the numbers of pictures done and of all. The file appears under its name only once
+    it is complete.
     """
     if not 1e-3 <= speed <= 1e3:
         raise ValueError(f"speed = {speed!r}: must be from 0.001 to 1000")
     if size[0] % 2 or size[1] % 2:
         raise ValueError(f"size = {size!r}: must be even, as the video's pixels share their colour in blocks of 2 x 2")
-    shown, rate = _schedule(trajectory.time, fps, speed)
+    animated = Path(path).suffix.lower() == ".gif"
+    if animated and fps is not None and fps > FASTEST_GIF:
+        raise ValueError(f"fps = {fps!r}: must be at most {FASTEST_GIF:g} [pictures/s] in a GIF")
+    shown, rate = _schedule(trajectory.time, fps, speed, FASTEST_GIF if animated else FASTEST)
     lattice = build_lattice(trajectory.design)
     model = build_model(lattice, trajectory.layout)
     note = "" if speed == 1.0 else f"   [{speed:g} x real time]"
-    sink = _gif if Path(path).suffix.lower() == ".gif" else _mp4
+    sink = _gif if animated else _mp4
     with (
         Renderer(lattice, model, size, view=trajectory.position.reshape(-1, 3)) as renderer,
         replacing(path) as temporary,
@@ -105,15 +113,22 @@ def _gif(path: Path, size: tuple[int, int], rate: float) -> Iterator[Callable[[P
     frames = [image.fromarray(picture) for picture in pictures]
     palette = image.fromarray(np.concatenate(pictures[:: max(1, len(pictures) // 4)])).quantize(96)
     few = [frame.quantize(palette=palette, dither=0) for frame in frames]
-    few[0].save(path, format="GIF", save_all=True, append_images=few[1:], duration=round(1000.0 / rate), loop=0)
+    few[0].save(path, format="GIF", save_all=True, append_images=few[1:], duration=_durations(len(few), rate), loop=0)
 
 
-def _schedule(time: FloatArray, fps: float | None, speed: float) -> tuple[IntArray, float]:
+def _durations(count: int, rate: float) -> list[int]:
+    """How long each picture of a GIF lasts [ms]: whole hundredths of a second, of which none is lost on the way."""
+    ends = np.rint(100.0 / rate * np.arange(count + 1)).astype(np.int64)
+    durations: list[int] = (10 * np.diff(ends)).tolist()
+    return durations
+
+
+def _schedule(time: FloatArray, fps: float | None, speed: float, fastest: float = FASTEST) -> tuple[IntArray, float]:
     """Which frame each picture of a video shows, and the pictures a second."""
     if fps is None:
         rate = speed / float(np.median(np.diff(time))) if len(time) > 1 else 10.0
-        if rate > 60.0:
-            rate /= math.ceil(rate / 60.0 - 1e-6)
+        if rate > fastest:
+            rate /= math.ceil(rate / fastest - 1e-6)
         elif rate < 10.0:
             rate *= math.ceil(10.0 / rate - 1e-6)
     elif 1.0 <= fps <= 240.0:

@@ -99,8 +99,8 @@ def report(folder: Path, *, command: str, repeats: int = 7, n_control: int = rou
                 for row in differences
             ],
         ),
-        f"The engines {'agree' if agree else 'DO NOT AGREE'} within {STEP_LIMIT:g} of position and velocity after a step, "
-        f"and {EPISODE_LIMIT:g} m at the end.",
+        f"The engines {'agree' if agree else 'DO NOT AGREE'} within {STEP_LIMIT:g} of position and velocity "
+        f"after a step, and {EPISODE_LIMIT:g} m at the end.",
         f"Time per step, benchmark scene (default design, `extension` layout, 0.5 N), median of {repeats} interleaved "
         "repeats, one thread; the PyElastica engine holds what a user of PyElastica would write:",
         table(["engine", "us per step"], [[name, f"{1e6 * medians[name]:.1f}"] for name in ENGINES]),
