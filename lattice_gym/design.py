@@ -10,7 +10,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,11 @@ MAX_PHASE = 1e3
 
 # Most elements in the structure (the default has 480): a slip in a count must not exhaust the memory.
 MAX_ELEMENTS = 100_000
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Tell whether a value is a real number; True and False are not."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
 def wrap_angle(angle: FloatArray) -> FloatArray:

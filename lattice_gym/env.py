@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from lattice_gym.design import TURN, FloatArray, IntArray, LatticeDesign
+from lattice_gym.design import TURN, FloatArray, IntArray, LatticeDesign, is_number
 from lattice_gym.engines import Engine, EngineName, Health, make_engine
 from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.measures import site_nodes
 from lattice_gym.model import RodModel, RodState, build_model, default_dt, stable_dt
 from lattice_gym.muscles import MuscleLayout, advance_activation, control_groups, resolve_layout
-from lattice_gym.tasks import TASKS, is_number, make_task
+from lattice_gym.tasks import TASKS, make_task
 
 if TYPE_CHECKING:
     from lattice_gym.rendering import Renderer

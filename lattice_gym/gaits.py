@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeGuard
 
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import TURN, FloatArray, IntArray
+from lattice_gym.design import TURN, FloatArray, IntArray, is_number
 from lattice_gym.lattice import Lattice
 from lattice_gym.muscles import MuscleLayout
 
@@ -159,14 +158,10 @@ def grouped(command: FloatArray, groups: IntArray) -> FloatArray:
     return mean
 
 
-def _is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-
-
 def _check(least: float, **values: object) -> None:
     """Refuse what is no number from `least` to MOST, by its name."""
     for name, value in values.items():
-        if not _is_number(value) or not least <= value <= MOST:
+        if not is_number(value) or not least <= value <= MOST:
             raise ValueError(f"{name} = {value!r}: must be a number from {least:g} to {MOST:g}")
 
 

@@ -258,9 +258,9 @@ def _phase_slope(values: npt.NDArray[np.complex128], at: FloatArray) -> float:
 
 def joint_gap(model: RodModel, position: FloatArray) -> float:
     """Largest distance between two nodes that a joint holds together [m]; 0 without joints."""
-    offset = model.node_offset
-    ends = [(offset[joint.rod_a] + joint.node_a, offset[joint.rod_b] + joint.node_b) for joint in model.joints]
-    return max((float(np.linalg.norm(position[a] - position[b])) for a, b in ends), default=0.0)
+    nodes = model.joint_nodes
+    gap = np.linalg.norm(position[nodes[:, 0]] - position[nodes[:, 1]], axis=1)
+    return float(gap.max(initial=0.0))
 
 
 def dilatation(model: RodModel, position: FloatArray) -> FloatArray:
@@ -276,12 +276,12 @@ def straightness(lattice: Lattice, model: RodModel, position: FloatArray) -> flo
 
     A stretch is a structure rod from one crossing to the next, or a whole muscle.
     """
-    worst = np.inf
+    shares = []
     for index, rod in enumerate(model.rods):
         step = lattice.design.elements_per_segment if index < lattice.n_rod else rod.n_elem
         now, rest = (_chord_share(nodes, step) for nodes in (position[model.nodes(index)], rod.position))
-        worst = min(worst, float((now / rest).min()))
-    return worst
+        shares.append(now / rest)
+    return float(np.concatenate(shares).min())
 
 
 def _chord_share(nodes: FloatArray, step: int) -> FloatArray:

@@ -342,6 +342,13 @@ class RodModel:
         """Number of elements of all rods."""
         return int(self.element_offset[-1])
 
+    @cached_property
+    def joint_nodes(self) -> IntArray:
+        """Rows of the two nodes of every joint, shape (n_joint, 2)."""
+        offset = self.node_offset.tolist()
+        ends = [(offset[j.rod_a] + j.node_a, offset[j.rod_b] + j.node_b) for j in self.joints]
+        return np.array(ends, dtype=np.int64).reshape(-1, 2)
+
     def nodes(self, rod: int) -> slice:
         """Rows of a rod's nodes."""
         return slice(int(self.node_offset[rod]), int(self.node_offset[rod + 1]))
@@ -504,7 +511,7 @@ def _joint_bound(model: RodModel, coefficient: str) -> float:
     """Largest eigenvalue, bounded from above, of the joints' coefficient matrix over the node masses."""
     mass = np.concatenate([rod.mass for rod in model.rods])
     load = np.zeros(model.n_node)
-    ends = [(model.node_offset[j.rod_a] + j.node_a, model.node_offset[j.rod_b] + j.node_b) for j in model.joints]
+    ends = model.joint_nodes.tolist()
     for joint, (a, b) in zip(model.joints, ends, strict=True):
         load[a] += getattr(joint, coefficient) / mass[a]
         load[b] += getattr(joint, coefficient) / mass[b]

@@ -8,11 +8,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping
-from typing import ClassVar, NamedTuple, TypeGuard, final
+from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
-from lattice_gym.design import TURN, FloatArray
+from lattice_gym.design import TURN, FloatArray, is_number
 from lattice_gym.lattice import Lattice
 from lattice_gym.measures import (
     TravellingWave,
@@ -130,11 +130,6 @@ class Task(ABC):
                 raise ValueError(f"{argument}[{name!r}] = {value!r}: {span}")
             checked[name] = float(value)
         return checked
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    """Tell whether a value is a real number; True and False are not."""
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
 def _effort(activation: FloatArray) -> float:

@@ -18,6 +18,7 @@ from lattice_gym.measures import (
     joint_gap,
     ring_radii,
     site_positions,
+    straightness,
     strain,
     top_normal,
     travelling_wave,
@@ -312,3 +313,13 @@ def test_dilatation() -> None:
     model = RodModel(rods=rods, joints=(Joint(0, 4, 1, 0, 1.0),))
     position = np.concatenate([factor * rod.position for factor, rod in zip((0.5, 2.0, 3.0), rods, strict=True)])
     np.testing.assert_allclose(dilatation(model, position), [0.5] * 4 + [2.0] * 2 + [3.0] * 3)
+
+
+def test_a_broken_lattice_does_not_look_whole(lattice: Lattice) -> None:
+    """NaN in one crossing shows in every measure of what held."""
+    model = build_model(lattice, named_layout("extension", lattice))
+    position = model.rest_state().position
+    position[5] = np.nan
+    assert np.isnan(joint_gap(model, position))
+    assert np.isnan(straightness(lattice, model, position))
+    assert np.isnan(dilatation(model, position).min())
