@@ -88,7 +88,7 @@ class TrainConfig:
     seed: int = 0
     """Seed of the policy, the noise and the worms."""
     control: Control | None = None
-    """What one action drives: a muscle, those of a level (ring) or of a side (column); ring by default, column to bend."""
+    """What one action drives: a muscle, a level (ring) or a side (column) of them; ring by default, column to bend."""
     rhythm: float | None = None
     """Frequency of a clock whose sine and cosine join the observation [Hz]; none by default."""
     design: Path | None = None
@@ -113,7 +113,7 @@ class TrainConfig:
     learning_rate: float = 1e-3
     """Step size of Adam."""
     anneal: bool = True
-    """Let the step size fall linearly to zero over total_steps."""
+    """Let the step size fall linearly over total_steps, to that share which the last rollout is of them."""
     gamma: float = 0.8
     """Discount of the reward, each control step."""
     gae_lambda: float = 0.95
@@ -156,6 +156,8 @@ class TrainConfig:
             value, whole = getattr(self, name), name in _WHOLE
             if not (value is None and name in _OPTIONAL) and not _is_number(value, interval, whole):
                 raise InputError(f"{name} = {value!r}: must be a {'whole ' if whole else ''}number in {interval}")
+        if self.task == "bending" and self.control == "ring" and not (self.muscles or "").endswith(".json"):
+            raise InputError("control = 'ring': must be column or muscle to bend; rings contract alike all around")
         sizes = self.hidden_sizes
         if not isinstance(sizes, tuple) or not sizes or not all(_is_number(n, _WIDTH, True) for n in sizes):
             raise InputError(f"hidden_sizes = {sizes!r}: must be a tuple of whole numbers in {_WIDTH}")

@@ -17,7 +17,7 @@ from agents.rollouts import export
 from agents.run_folder import Run
 from agents.training import train
 
-SETTINGS = TrainConfig(total_steps=150_000, seed=1, time_limit=300.0)
+SETTINGS = TrainConfig(total_steps=150_000, seed=1, time_limit=240.0)
 """Enough to learn the wave, and a limit for slow machines [s]."""
 
 
@@ -29,20 +29,21 @@ def demo(
     Raises InputError if `path` holds a run with other settings or a damaged one, unless `fresh` discards it.
     """
     began = time.monotonic()
+    settings = replace(settings, control=settings.driven)
     if fresh and path.exists():
         if not (path / run_folder.CONFIG).is_file():
             raise InputError(f"{path}: not a run folder, so not deleted; move it away by hand")
         shutil.rmtree(path)
     known = path.exists()
-    if known and Run.open(path).config != settings:
+    if known and replace(Run.open(path).config, time_limit=settings.time_limit) != settings:
         raise InputError(f"{path}: a run with other settings; discard it with: python -m agents.demo --fresh")
     train(replace(settings, resume=path) if known else replace(settings, run_dir=path))
     print("\nevaluating on seeds that training never saw ...", flush=True)
     scores = evaluate(path, episodes, command="python -m agents.demo")
     print(format_scores(scores), flush=True)
     print("\nfilming ...", flush=True)
-    for title, file in vars(export(path)).items():
-        print(f"{title.replace('_', ' '):16}{file}")
+    for title, file in export(path).written().items():
+        print(f"{title:16}{file}")
     print(f"{'scores':16}{path / run_folder.EVALUATION}\n{'TensorBoard':16}{path / run_folder.TENSORBOARD}")
     baseline = max(scores["nothing"].return_mean, scores["random"].return_mean)
     learned = scores["policy"].return_mean > baseline

@@ -18,7 +18,7 @@ from agents import run_folder
 from agents.config import InputError, errors_as_messages
 from agents.environments import Env, make_env
 from agents.run_folder import Run
-from agents.training import load_model, load_normaliser
+from agents.training import gathered, load_model, load_normaliser, worm_seeds
 from lattice_gym.gaits import gait, grouped
 
 PolicyName = Literal["policy", "gait", "nothing", "random"]
@@ -28,6 +28,9 @@ POLICIES: dict[PolicyName, str] = {
     "nothing": "do nothing",
     "random": "random actions",
 }
+
+EVALUATION_SEED = 1_000_000
+"""Seed of the first episode unless given: far above those that training usually starts from."""
 
 Action = npt.NDArray[np.float32]
 Act = Callable[[Any], Action]
@@ -46,7 +49,10 @@ class Step:
 
 @dataclass(frozen=True)
 class Score:
-    """Episodes of one policy: mean and population standard deviation of the return, means of the outcome."""
+    """Episodes of one policy: mean and population standard deviation of the return and of `outcome_errors`.
+
+    An outcome that some episodes lack is averaged over the others, and absent if all lack it.
+    """
 
     returns: tuple[float, ...]
     outcome_mean: dict[str, float]
@@ -67,18 +73,17 @@ class Score:
 def make_policy(name: PolicyName, run: Run, env: Env) -> Start:
     """Policy by its name; raises InputError if the run's model cannot be read or the name is unknown."""
     if name == "policy":
-        return trained_policy(run, env)
-    baselines: dict[str, Start] = {"gait": hand_made_gait, "nothing": do_nothing, "random": random_actions}
-    if name not in baselines:
+        return trained_policy(run.newest, env)
+    if name not in BASELINES:
         raise InputError(f"policy = {name!r}: must be one of {', '.join(POLICIES)}")
-    return baselines[name]
+    return BASELINES[name]
 
 
-def trained_policy(run: Run, env: Env) -> Start:
-    """Let the run's model act, without exploration and with its normalisation frozen."""
-    normaliser = load_normaliser(run.path / run_folder.NORMALISATION, DummyVecEnv([lambda: env]))
+def trained_policy(checkpoint: Path, env: Env) -> Start:
+    """Let a checkpoint's model act, without exploration and with its normalisation frozen."""
+    normaliser = load_normaliser(checkpoint / run_folder.NORMALISATION, DummyVecEnv([lambda: env]))
     normaliser.training = False
-    model = load_model(run.path / run_folder.MODEL, normaliser)
+    model = load_model(checkpoint / run_folder.MODEL, normaliser)
 
     def act(observation: Any) -> Action:
         return model.predict(normaliser.normalize_obs(observation), deterministic=True)[0]
@@ -93,8 +98,8 @@ def do_nothing(env: Env, _seed: int) -> Act:
 
 
 def random_actions(env: Env, seed: int) -> Act:
-    """Every action uniform and independent."""
-    generator = np.random.default_rng(seed)
+    """Every action uniform and independent, also of what the environment draws from the same seed."""
+    generator = np.random.default_rng([seed, 1])
     shape = env.action_space.shape
     return lambda _observation: generator.uniform(-1.0, 1.0, shape).astype(np.float32)
 
@@ -108,6 +113,9 @@ def hand_made_gait(env: Env, _seed: int) -> Act:
         return (2.0 * grouped(activation(worm.time), worm.groups) - 1.0).astype(np.float32)
 
     return act
+
+
+BASELINES: dict[PolicyName, Start] = {"gait": hand_made_gait, "nothing": do_nothing, "random": random_actions}
 
 
 def play(env: Env, start: Start, seed: int) -> Iterator[Step]:
@@ -130,9 +138,9 @@ def score(env: Env, start: Start, seeds: range) -> Score:
     for seed in seeds:
         steps = list(play(env, start, seed))
         returns.append(sum(step.reward for step in steps))
-        outcomes.append(dict(steps[-1].info["outcome"]))
+        outcomes.append(steps[-1].info["outcome_errors"])
         diverged += steps[-1].info["status"] != "ok"
-    table = {name: [outcome[name] for outcome in outcomes] for name in outcomes[0]}
+    table = gathered(outcomes)
     return Score(
         tuple(returns),
         {name: float(np.mean(values)) for name, values in table.items()},
@@ -141,23 +149,32 @@ def score(env: Env, start: Start, seeds: range) -> Score:
     )
 
 
-def evaluate(path: Path, episodes: int = 10, seed: int = 1000, command: str = "") -> dict[PolicyName, Score]:
-    """Score every policy on the same seeds and write evaluation.json; raises InputError on a damaged run folder."""
+def evaluate(path: Path, episodes: int = 10, seed: int = EVALUATION_SEED, command: str = "") -> dict[PolicyName, Score]:
+    """Score the newest checkpoint and the baselines on the same seeds and write evaluation.json.
+
+    Raises InputError on a damaged run folder and where an episode would have a seed of training.
+    """
     if episodes < 1:
         raise InputError(f"episodes = {episodes}: must be 1 or more")
     if seed < 0:
         raise InputError(f"seed = {seed}: must be 0 or more")
     run = Run.open(path)
     sessions = run_folder.read_sessions(path / run_folder.VERSIONS)
-    env = make_env(run.env_arguments)
     seeds = range(seed, seed + episodes)
-    starts = {name: make_policy(name, run, env) for name in POLICIES}
+    for session in sessions:
+        seen = worm_seeds(run.config, session["from_step"])
+        if seeds.start < seen.stop and seen.start < seeds.stop:
+            raise InputError(f"seed = {seed}: episodes must not have those of training, {seen.start} to {seen[-1]}")
+    env = make_env(run.env_arguments)
+    checkpoint = run.newest
+    starts: dict[PolicyName, Start] = {"policy": trained_policy(checkpoint, env), **BASELINES}
     scores = {name: score(env, start, seeds) for name, start in starts.items()}
     env.close()
     report = {
         "made": run_folder.made_by(command),
         "trained_with": sessions,
         "task": run.config.task,
+        "steps": int(checkpoint.name),
         "seeds": list(seeds),
         "policies": {
             name: asdict(result) | {"return_mean": result.return_mean, "return_std": result.return_std}
@@ -169,13 +186,14 @@ def evaluate(path: Path, episodes: int = 10, seed: int = 1000, command: str = ""
 
 
 def format_scores(scores: Mapping[PolicyName, Score]) -> str:
-    """Scores as a plain text table, mean +- standard deviation over episodes."""
-    outcomes = list(next(iter(scores.values())).outcome_mean)
+    """Scores as a plain text table, mean +- standard deviation over episodes; "-" where no episode has a value."""
+    outcomes = list(dict.fromkeys(name for result in scores.values() for name in result.outcome_mean))
     rows = [["", "return", *outcomes, "diverged"]]
     for name, result in scores.items():
-        cells = [f"{result.outcome_mean[o]:.3f} +- {result.outcome_std[o]:.3f}" for o in outcomes]
-        mean = f"{result.return_mean:.3f} +- {result.return_std:.3f}"
-        rows.append([POLICIES[name], mean, *cells, f"{result.diverged_episodes} of {len(result.returns)}"])
+        mean, std = result.outcome_mean, result.outcome_std
+        cells = [f"{mean[o]:.3f} +- {std[o]:.3f}" if o in mean else "-" for o in outcomes]
+        gain = f"{result.return_mean:.3f} +- {result.return_std:.3f}"
+        rows.append([POLICIES[name], gain, *cells, f"{result.diverged_episodes} of {len(result.returns)}"])
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
 
@@ -183,9 +201,11 @@ def format_scores(scores: Mapping[PolicyName, Score]) -> str:
 def main(
     run: Annotated[Path, tyro.conf.Positional],
     episodes: int = 10,
-    seed: int = 1000,
+    seed: int = EVALUATION_SEED,
 ) -> None:
     """Print mean and spread of return and outcome over seeded episodes, the same for every policy.
+
+    Seeds from which training started episodes are refused.
 
     Parameters
     ----------

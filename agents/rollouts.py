@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import tyro
 from tqdm import tqdm
 
 from agents import run_folder
 from agents.config import InputError, errors_as_messages
 from agents.environments import make_env
-from agents.evaluation import POLICIES, PolicyName, make_policy, play
+from agents.evaluation import EVALUATION_SEED, POLICIES, PolicyName, make_policy, play
 from agents.run_folder import Run
+from lattice_gym.env import OK
 from lattice_gym.rendering import plot_activation, render_video
 from lattice_gym.trajectory import Recorder, Trajectory, replacing
+
+GIF_SIZE = (480, 360)
+ROUNDING = 1e-9
+"""Times that differ by less are the same [s]."""
 
 
 @dataclass(frozen=True)
@@ -28,10 +33,18 @@ class Artefacts:
     video: Path
     activation: Path
     learning_curve: Path
+    gif: Path | None = None
+
+    def written(self) -> dict[str, Path]:
+        """Files that were asked for, by title."""
+        return {name.replace("_", " "): path for name, path in vars(self).items() if path is not None}
 
 
-def record(run: Run, policy: PolicyName = "policy", seed: int = 1000) -> Trajectory:
-    """Play one seeded episode; the first frame is its start, each further one the end of a control step."""
+def record(run: Run, policy: PolicyName = "policy", seed: int = EVALUATION_SEED) -> Trajectory:
+    """Play one seeded episode; the first frame is its start, each further one the end of a control step.
+
+    An episode that diverged ends with its last sound state again, at the time of the step that failed, and its status.
+    """
     if seed < 0:
         raise InputError(f"seed = {seed}: must be 0 or more")
     env = make_env(run.env_arguments)
@@ -40,29 +53,59 @@ def record(run: Run, policy: PolicyName = "policy", seed: int = 1000) -> Traject
     total = 0.0
     for step in play(env, make_policy(policy, run, env), seed):
         total += step.reward
-        line = _outcome_line(total, step.info.get("outcome", {}))
+        status = step.info["status"]
+        parts = (f"return {total:.2f}", worm.task.caption(worm.state.position), "" if status == OK else status)
+        line = "   ".join(part for part in parts if part)
         recorder.append(worm.time, worm.state.position, worm.activation, step.reward, line)
     env.close()
     return recorder.build()
 
 
-def export(path: Path, policy: PolicyName = "policy", seed: int = 1000) -> Artefacts:
+def export(
+    path: Path,
+    policy: PolicyName = "policy",
+    seed: int = EVALUATION_SEED,
+    gif: tuple[float, float] | None = None,
+) -> Artefacts:
     """Record an episode into the run folder with its video, heat map and the run's learning curve.
 
-    Raises InputError that names the missing or damaged file of the run folder.
+    `gif` is the span [s] of which an animated GIF is written too. Raises InputError that names the missing or damaged
+    file of the run folder, or a span that holds no frames of the episode.
     """
     run = Run.open(path)
     stem = f"{policy}-{seed}"
     files = Artefacts(
-        path / f"{stem}.npz", path / f"{stem}.mp4", path / f"{stem}-activation.png", path / "learning_curve.png"
+        path / f"{stem}.npz",
+        path / f"{stem}.mp4",
+        path / f"{stem}-activation.png",
+        path / "learning_curve.png",
+        None if gif is None else path / f"{stem}.gif",
     )
     plot_learning_curve(run, files.learning_curve)
     trajectory = record(run, policy, seed)
+    if gif is not None and files.gif is not None:
+        render_video(span(trajectory, gif), files.gif, size=GIF_SIZE)
     trajectory.save(files.trajectory)
     plot_activation(trajectory, files.activation)
     with tqdm(total=trajectory.n_frame, desc="filming", unit="frame", disable=not sys.stderr.isatty()) as bar:
         render_video(trajectory, files.video, progress=lambda done, _all: bar.update(done - bar.n))
     return files
+
+
+def span(trajectory: Trajectory, gif: tuple[float, float]) -> Trajectory:
+    """Frames of a span of time, both ends included; raises InputError if it is none of the episode's or holds none."""
+    time, (start, end) = trajectory.time, gif
+    shown = (time >= start - ROUNDING) & (time <= end + ROUNDING)
+    if not (0.0 <= start < end <= time[-1] + ROUNDING) or not shown.any():
+        raise InputError(f"gif = {gif}: must be start and end of a span with frames in 0 to {time[-1]:g} s")
+    return replace(
+        trajectory,
+        time=time[shown],
+        position=trajectory.position[shown],
+        activation=trajectory.activation[shown],
+        reward=trajectory.reward[shown],
+        outcome=tuple(trajectory.outcome[frame] for frame in np.flatnonzero(shown)),
+    )
 
 
 def plot_learning_curve(run: Run, path: Path) -> None:
@@ -77,7 +120,7 @@ def plot_learning_curve(run: Run, path: Path) -> None:
     axes.fill_between(steps, low, high, color="tab:blue", alpha=0.2, linewidth=0.0)
     axes.plot(steps, mean, color="tab:blue", label="in training, with exploration")
     for (name, level), colour in zip(
-        _evaluated(run).items(), ("black", "tab:green", "tab:gray", "tab:orange"), strict=False
+        evaluated(run).items(), ("black", "tab:green", "tab:gray", "tab:orange"), strict=False
     ):
         axes.axhline(level, color=colour, linestyle="--", linewidth=1.0, label=name)
     axes.set_xlabel("environment steps")
@@ -89,24 +132,26 @@ def plot_learning_curve(run: Run, path: Path) -> None:
         figure.savefig(partial, dpi=150)
 
 
-def _evaluated(run: Run) -> dict[str, float]:
-    """Mean return of every evaluated policy; nothing before an evaluation."""
+def evaluated(run: Run) -> dict[str, float]:
+    """Mean return of every evaluated policy, the trained one only as its newest checkpoint; nothing before that."""
     path = run.path / run_folder.EVALUATION
     if not path.exists():
         return {}
     report = run_folder.read_json(path)
     try:
-        return {title: float(report["policies"][name]["return_mean"]) for name, title in POLICIES.items()}
+        means = {name: float(report["policies"][name]["return_mean"]) for name in POLICIES}
+        current = report["steps"] == run.steps
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: damaged or not of this kind: {error!r}") from error
+    return {title: means[name] for name, title in POLICIES.items() if current or name != "policy"}
 
 
-def _outcome_line(total: float, outcome: Mapping[str, float]) -> str:
-    parts = [f"return {total:.2f}", *(f"{name.replace('_', ' ')} {value:.3g}" for name, value in outcome.items())]
-    return "   ".join(parts)
-
-
-def main(run: Annotated[Path, tyro.conf.Positional], policy: PolicyName = "policy", seed: int = 1000) -> None:
+def main(
+    run: Annotated[Path, tyro.conf.Positional],
+    policy: PolicyName = "policy",
+    seed: int = EVALUATION_SEED,
+    gif: tuple[float, float] | None = None,
+) -> None:
     """Record one episode and write its trajectory, video, activation heat map and the learning curve.
 
     Parameters
@@ -117,10 +162,11 @@ def main(run: Annotated[Path, tyro.conf.Positional], policy: PolicyName = "polic
         What drives the muscles.
     seed
         Seed of the episode.
+    gif
+        Start and end of a span of which an animated GIF is written too [s].
     """
-    files = export(run, policy, seed)
-    for title, path in vars(files).items():
-        print(f"{title.replace('_', ' '):15}{path}")
+    for title, path in export(run, policy, seed, gif).written().items():
+        print(f"{title:16}{path}")
 
 
 if __name__ == "__main__":

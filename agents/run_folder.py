@@ -4,11 +4,12 @@ config.json      settings (`TrainConfig.to_dict`)
 versions.json    Python, packages and commit of every session that trained the run
 design.json      LatticeDesign
 muscles.json     MuscleLayout
-model.zip        policy and optimiser of the newest checkpoint
-vecnormalize.pkl means and spreads of observations and rewards that belong to model.zip
 progress.csv     one row an update
-checkpoints/     the newest few pairs of model.zip and vecnormalize.pkl, each in a folder named by its steps
+checkpoints/     the newest few checkpoints, each in a folder named by its environment steps that appears once complete:
+                 model.zip         policy and optimiser
+                 vecnormalize.pkl  means and spreads of observations and rewards that belong to it
 tensorboard/     the same numbers as progress.csv, for TensorBoard
+evaluation.json  scores beside baselines, and the steps of the checkpoint they are of, once it was evaluated
 
 Models and normalisations are pickles: open only runs that you trust.
 """
@@ -23,7 +24,6 @@ import shutil
 import subprocess
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -79,6 +79,14 @@ class Run:
         checkpoints = self.checkpoints()
         return int(checkpoints[0].name) if checkpoints else 0
 
+    @property
+    def newest(self) -> Path:
+        """Folder of the newest checkpoint; raises InputError before the first."""
+        checkpoints = self.checkpoints()
+        if not checkpoints:
+            raise InputError(f"{self.path / CHECKPOINTS}: no checkpoint yet")
+        return checkpoints[0]
+
     def checkpoints(self) -> list[Path]:
         """Folders of the complete checkpoints, newest first."""
         folders = (self.path / CHECKPOINTS).glob("[0-9]*")
@@ -111,7 +119,7 @@ def requested_arguments(config: TrainConfig) -> dict[str, Any]:
 
 
 def save_checkpoint(run: Path, steps: int, files: Mapping[str, Callable[[Path], object]]) -> None:
-    """Write one checkpoint whole or not at all, copy it to the run folder and drop the oldest.
+    """Write one checkpoint whole or not at all, and drop the oldest.
 
     `files` maps a file name to what writes that file.
     """
@@ -122,8 +130,6 @@ def save_checkpoint(run: Path, steps: int, files: Mapping[str, Callable[[Path], 
         write_whole(unfinished / name, write)
     shutil.rmtree(folder, ignore_errors=True)
     unfinished.rename(folder)
-    for name in files:
-        write_whole(run / name, partial(shutil.copyfile, folder / name))
     for old in sorted(folder.parent.glob("[0-9]*"))[:-_KEPT]:
         shutil.rmtree(old)
 
@@ -152,8 +158,11 @@ def read_sessions(path: Path) -> list[dict[str, Any]]:
 
     def read(file: Path) -> list[dict[str, Any]]:
         sessions = _parse_json(file)
-        if not isinstance(sessions, list) or not all(isinstance(session, dict) for session in sessions):
+        if not isinstance(sessions, list):
             raise ValueError("not a list of sessions")
+        for session in sessions:
+            if not isinstance(session["from_step"], int) or session["from_step"] < 0:
+                raise ValueError(f"from_step = {session['from_step']!r}: must be a number of steps")
         return sessions
 
     return read_file(path, read)

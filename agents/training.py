@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from datetime import datetime
@@ -43,6 +43,7 @@ def train(config: TrainConfig) -> Path:
     InputError if the settings, the design or the run folder cannot be used.
     """
     began = time.monotonic()
+    config = replace(config, control=config.driven)
     torch.set_num_threads(config.torch_threads)
     run = create_run(config) if config.resume is None else reopen_run(config)
     print(f"{run.path}: {run.steps} of {config.total_steps} steps done", flush=True)
@@ -51,14 +52,15 @@ def train(config: TrainConfig) -> Path:
     venv = make_vector_env(run.env_arguments, config.n_envs)
     try:
         model = restored_model(run, venv) if run.steps else new_model(config, venv)
+        run_folder.write_json(run.path / run_folder.CONFIG, config.to_dict())
         log = TrainingLog(run, model, began)
         with _stop_on_signal(log):
             model.learn(config.total_steps - model.num_timesteps, callback=log, reset_num_timesteps=False)
-        log.save()
+            log.save()
         model.logger.close()
     finally:
         venv.close()
-    if log.stop_reason is not None:
+    if log.stop_reason is not None and model.num_timesteps < config.total_steps:
         print(f"stopped by {log.stop_reason}; continue with: python train.py --resume {run.path}", flush=True)
     return run.path
 
@@ -94,17 +96,40 @@ def reopen_run(config: TrainConfig) -> Run:
             raise InputError(f"{field.name} = {given!r}: must be {stored!r}, as {run.path} keeps its settings")
     if config.design is not None or config.muscles is not None or config.run_dir is not None:
         raise InputError(f"design, muscles, run_dir: must not be given with --resume, as {run.path} keeps its own")
-    run_folder.write_json(run.path / run_folder.CONFIG, config.to_dict())
+    if config.total_steps < run.steps and config.total_steps != run.config.total_steps:
+        raise InputError(f"total_steps = {config.total_steps}: must be {run.steps} or more, which {run.path} has done")
     return replace(run, config=config)
+
+
+def step_size(config: TrainConfig) -> float | LinearSchedule:
+    """Step size of Adam, or what gives it: linear in the steps done before the rollout of an update.
+
+    Stable-Baselines3 counts those of that rollout as well, with which the last update would learn nothing: hence the
+    end one rollout later.
+    """
+    if not config.anneal:
+        return config.learning_rate
+    end = 1.0 + config.n_envs * config.n_steps / config.total_steps
+    return LinearSchedule(config.learning_rate * end, 0.0, end)
+
+
+def worm_seeds(config: TrainConfig, from_step: int) -> range:
+    """Seeds of the worms' first episodes in the session of training that started after so many steps.
+
+    The first session has that of the settings, a later one others, lest it repeat what the first has seen.
+    """
+    first = config.seed
+    if from_step:
+        first = int(np.random.SeedSequence([config.seed, from_step]).generate_state(1)[0])
+    return range(first, first + config.n_envs)
 
 
 def new_model(config: TrainConfig, venv: VecEnv) -> PPO:
     """Untrained PPO on worms whose observations and rewards are normalised."""
-    rate = config.learning_rate
     return PPO(
         "MlpPolicy",
         VecNormalize(venv, gamma=config.gamma),
-        learning_rate=LinearSchedule(rate, 0.0, 1.0) if config.anneal else rate,
+        learning_rate=step_size(config),
         n_steps=config.n_steps,
         batch_size=config.batch_size,
         n_epochs=config.n_epochs,
@@ -128,7 +153,7 @@ def restored_model(run: Run, venv: VecEnv) -> PPO:
     for folder in run.checkpoints():
         try:
             normaliser = load_normaliser(folder / run_folder.NORMALISATION, venv)
-            model = load_model(folder / run_folder.MODEL, normaliser)
+            model = load_model(folder / run_folder.MODEL, normaliser, learning_rate=step_size(run.config))
         except InputError as error:
             damaged.append(folder)
             trouble = error
@@ -136,17 +161,16 @@ def restored_model(run: Run, venv: VecEnv) -> PPO:
         for other in damaged:
             aside = other.rename(other.with_name(f"damaged-{other.name}"))
             print(f"continuing from an older checkpoint, {folder}: the newer {aside} cannot be read", file=sys.stderr)
-        noise = np.random.SeedSequence([run.config.seed, model.num_timesteps]).generate_state(1)
-        model.set_random_seed(int(noise[0]))
+        model.set_random_seed(worm_seeds(run.config, model.num_timesteps)[0])
         path = run.path / run_folder.VERSIONS
         run_folder.write_json(path, [*run_folder.read_sessions(path), run_folder.session(model.num_timesteps)])
         return model
     raise trouble
 
 
-def load_model(path: Path, env: VecEnv) -> PPO:
-    """PPO of a model.zip, ready to act in `env`; raises InputError that names the file."""
-    model = read_file(path, lambda file: PPO.load(file, env=env, device="cpu"))
+def load_model(path: Path, env: VecEnv, **replaced: object) -> PPO:
+    """PPO of a model.zip, ready to act in `env`, some attributes replaced; raises InputError that names the file."""
+    model = read_file(path, lambda file: PPO.load(file, env=env, device="cpu", custom_objects=replaced))
     if not all(bool(torch.isfinite(values).all()) for values in model.policy.state_dict().values()):
         raise InputError(f"{path}: damaged or not of this kind: a weight is not finite")
     return model
@@ -224,9 +248,8 @@ class TrainingLog(BaseCallback):
         if returns:
             self.logger.record("worm/return_mean", float(np.mean(returns)))
             self.logger.record("worm/return_std", float(np.std(returns)))
-            for name in self._finished[0]["outcome"]:
-                outcomes = [info["outcome"][name] for info in self._finished]
-                self.logger.record(f"worm/outcome_{name}", float(np.mean(outcomes)))
+            for name, values in gathered([info["outcome_errors"] for info in self._finished]).items():
+                self.logger.record(f"worm/outcome_{name}", float(np.mean(values)))
         self.logger.record(_DIVERGED, self._diverged)
         self._finished.clear()
         if returns and self._bar.disable and time.monotonic() - self._line_at > _LINE_EVERY:
@@ -242,6 +265,12 @@ class TrainingLog(BaseCallback):
 
     def _on_training_end(self) -> None:
         self._bar.close()
+
+
+def gathered(outcomes: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
+    """Values of every name over the outcomes that have it."""
+    names = dict.fromkeys(name for outcome in outcomes for name in outcome)
+    return {name: [outcome[name] for outcome in outcomes if name in outcome] for name in names}
 
 
 class ProgressTable(KVWriter):

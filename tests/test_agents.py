@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 import shutil
+import signal
 import subprocess
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,15 +24,25 @@ from agents import demo as demo_module
 from agents import run_folder
 from agents.benchmark import BenchmarkConfig, benchmark
 from agents.config import InputError, TrainConfig
-from agents.environments import make_env, make_vector_env
-from agents.evaluation import POLICIES, evaluate, format_scores, hand_made_gait, make_policy, play, score
-from agents.rollouts import export, record
+from agents.environments import make_env, make_vector_env, outcome_errors
+from agents.evaluation import (
+    EVALUATION_SEED,
+    POLICIES,
+    evaluate,
+    format_scores,
+    hand_made_gait,
+    make_policy,
+    play,
+    random_actions,
+    score,
+)
+from agents.rollouts import Artefacts, evaluated, export, record
 from agents.run_folder import Run
-from agents.training import resume_settings, train
+from agents.training import new_model, resume_settings, step_size, train, worm_seeds
 from lattice_gym.design import LatticeDesign
 from lattice_gym.gaits import gait
 from lattice_gym.rendering.extras import extra
-from lattice_gym.trajectory import Trajectory
+from lattice_gym.trajectory import Trajectory, replacing
 
 ROOT = Path(__file__).parent.parent
 TINY = TrainConfig(
@@ -60,15 +72,15 @@ def test_run_folder_is_complete(finished: Path) -> None:
         "versions.json",
         "design.json",
         "muscles.json",
-        "model.zip",
-        "vecnormalize.pkl",
         "progress.csv",
         "checkpoints",
         "tensorboard",
     }
     run = Run.open(finished)
-    assert run.config == TINY
+    assert run.config == replace(TINY, control="ring")
+    assert json.loads((finished / "config.json").read_text())["control"] == "ring"
     assert run.steps == 160
+    assert {file.name for file in run.newest.iterdir()} == {"model.zip", "vecnormalize.pkl"}
     assert [folder.name for folder in run.checkpoints()] == ["000000000160", "000000000080"]
     assert LatticeDesign.from_dict(json.loads((finished / "design.json").read_text())) == LatticeDesign()
     assert len(json.loads((finished / "muscles.json").read_text())["muscles"]) == 48
@@ -86,6 +98,25 @@ def test_progress_is_logged(finished: Path) -> None:
     assert float(rows[-1]["worm/diverged_episodes"]) == 0.0
     assert float(rows[-1]["worm/return_std"]) > 0.0
     assert float(rows[-1]["worm/outcome_strain"]) > 0.0
+
+
+def test_every_update_learns(tmp_path: Path) -> None:
+    """The step size falls from its first value, and even a run of one rollout moves the policy."""
+    run = Run.open(train(replace(TINY, total_steps=240, run_dir=tmp_path / "three")))
+    train(replace(resume_settings(run.path), total_steps=480))
+    rates = [row.get("train/learning_rate") for row in run.rows()]  # a row has that of the update before
+    assert rates == pytest.approx([None, 1e-3, 2e-3 / 3, None, 0.5e-3, 1e-3 / 3])
+    run = Run.open(train(replace(TINY, total_steps=80, run_dir=tmp_path / "one")))
+    before = new_model(run.config, make_vector_env(run.env_arguments, 1)).policy.state_dict()
+    after = PPO.load(run.newest / "model.zip", device="cpu").policy.state_dict()
+    assert max(float((after[name] - before[name]).abs().max()) for name in before) > 1e-3
+
+
+@pytest.mark.parametrize(("total", "rates"), [(40, [1e-3]), (100, [1e-3, 2e-4]), (160, [1e-3, 5e-4])])
+def test_step_size_of_runs_that_end_within_a_rollout(total: int, rates: list[float]) -> None:
+    """It goes by the steps done before a rollout, whatever the total."""
+    size: Any = step_size(replace(TINY, total_steps=total))
+    assert [size(1.0 - done / total) for done in (80, 160)[: len(rates)]] == pytest.approx(rates)
 
 
 def test_same_seed_gives_the_same_policy(finished: Path, tmp_path: Path) -> None:
@@ -110,7 +141,7 @@ def test_resume_continues_with_the_same_settings(copy: Path) -> None:
     train(replace(resume_settings(copy), total_steps=240))
     run = Run.open(copy)
     assert run.steps == 240
-    assert run.config == replace(TINY, total_steps=240)
+    assert run.config == replace(TINY, total_steps=240, control="ring")
     assert [row["time/total_timesteps"] for row in run.rows()] == [80, 160, 240]
     assert (copy / "progress.csv").read_text().splitlines()[1].split(",")[:5] == before[1].split(",")[:5]
     assert [session["from_step"] for session in json.loads((copy / "versions.json").read_text())] == [0, 160]
@@ -121,6 +152,37 @@ def test_resume_of_a_finished_run_changes_nothing(copy: Path) -> None:
     before = {file: file.read_bytes() for file in sorted(copy.rglob("*")) if file.is_file()}
     train(resume_settings(copy))
     assert {file: file.read_bytes() for file in sorted(copy.rglob("*")) if file.is_file()} == before
+
+
+def test_a_checkpoint_cut_short_changes_nothing(copy: Path) -> None:
+    """Whoever reads a run whose training was killed finds the last whole pair of model and normalisation."""
+
+    def killed(_path: Path) -> None:
+        raise KeyboardInterrupt
+
+    model = (Run.open(copy).newest / "model.zip").read_bytes()
+    files = {"model.zip": lambda path: path.write_bytes(b"new"), "vecnormalize.pkl": killed}
+    with pytest.raises(KeyboardInterrupt):
+        run_folder.save_checkpoint(copy, 240, files)
+    assert Run.open(copy).steps == 160
+    assert (Run.open(copy).newest / "model.zip").read_bytes() == model
+    assert not (copy / "model.zip").exists()
+
+
+@pytest.mark.parametrize("folder", [True, False])
+def test_what_is_replaced_leaves_nothing_on_an_error(tmp_path: Path, folder: bool) -> None:
+    """Neither a folder nor a file that was half written stays."""
+
+    def write() -> None:
+        with replacing(tmp_path / "target") as unfinished:
+            if folder:
+                unfinished.mkdir()
+            (unfinished / "file" if folder else unfinished).write_text("half")
+            raise RuntimeError("half way")
+
+    with pytest.raises(RuntimeError, match="half way"):
+        write()
+    assert not list(tmp_path.iterdir())
 
 
 def test_resume_falls_back_on_an_older_checkpoint(copy: Path) -> None:
@@ -137,8 +199,10 @@ def test_resume_without_a_sound_checkpoint_names_the_file(copy: Path) -> None:
     """With all damaged there is nothing to fall back on."""
     for model in (copy / "checkpoints").glob("*/model.zip"):
         model.write_bytes(b"no zip")
+    settings = (copy / "config.json").read_bytes()
     with pytest.raises(InputError, match=rf"^{re.escape(str(copy))}/checkpoints/\d+/model.zip: damaged"):
         train(replace(resume_settings(copy), total_steps=240))
+    assert (copy / "config.json").read_bytes() == settings
 
 
 def test_run_killed_before_its_first_checkpoint_starts_over(copy: Path) -> None:
@@ -155,12 +219,15 @@ def test_run_killed_before_its_first_checkpoint_starts_over(copy: Path) -> None:
         ({"n_steps": 40}, "n_steps = 40: must be 80"),
         ({"design": Path("worm.json")}, "must not be given with --resume"),
         ({"run_dir": Path("elsewhere")}, "must not be given with --resume"),
+        ({"total_steps": 159}, "total_steps = 159: must be 160 or more"),
     ],
 )
-def test_resume_refuses_other_settings(finished: Path, changes: dict[str, Any], message: str) -> None:
-    """A resumed run keeps its settings; nothing given is ignored."""
+def test_resume_refuses_other_settings(copy: Path, changes: dict[str, Any], message: str) -> None:
+    """A resumed run keeps its settings; nothing given is ignored, and nothing refused is written."""
+    settings = (copy / "config.json").read_bytes()
     with pytest.raises(InputError, match=message):
-        train(replace(resume_settings(finished), **changes))
+        train(replace(resume_settings(copy), **changes))
+    assert (copy / "config.json").read_bytes() == settings
 
 
 def test_a_run_is_never_overwritten(finished: Path) -> None:
@@ -217,6 +284,22 @@ def test_nan_never_reaches_the_learner(finished: Path, monkeypatch: pytest.Monke
     venv.close()
 
 
+def test_worms_leave_signals_to_the_learner_and_end_with_it(finished: Path) -> None:
+    """Neither a signal nor the death of one worm stops the others, closing does."""
+    venv = make_vector_env(Run.open(finished).env_arguments, 3)
+    worms: Any = venv.unwrapped
+    first, second, _ = worms.processes
+    venv.reset()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        os.kill(first.pid, number)
+        venv.step(np.zeros((3, 8), dtype=np.float32))
+    second.kill()
+    with pytest.raises((EOFError, ConnectionError)):
+        venv.step(np.zeros((3, 8), dtype=np.float32))
+    venv.close()
+    assert not any(process.is_alive() for process in worms.processes)
+
+
 def test_time_limit_stops_with_a_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Running out of time loses nothing."""
     path = train(
@@ -229,13 +312,82 @@ def test_time_limit_stops_with_a_checkpoint(tmp_path: Path, capsys: pytest.Captu
 # Evaluation
 
 
+@pytest.mark.parametrize(
+    ("task", "command", "outcome", "expected"),
+    [
+        ("extension", {}, {"strain": 0.3}, {"strain": 0.3}),
+        (
+            "bending",
+            {"azimuth": np.radians(350.0)},
+            {"bend_angle": np.radians(20.0), "bend_direction": np.radians(15.0)},
+            {"bend_deg": 20.0, "off_azimuth_deg": 25.0},
+        ),
+        (
+            "bending",
+            {"azimuth": np.radians(-10.0)},
+            {"bend_angle": np.radians(20.0), "bend_direction": np.radians(170.0)},
+            {"bend_deg": 20.0, "off_azimuth_deg": 180.0},
+        ),
+        ("bending", {"azimuth": 1.0}, {"bend_angle": 1e-4, "bend_direction": 0.0}, {"bend_deg": np.degrees(1e-4)}),
+        (
+            "peristalsis",
+            {"speed": -0.1, "amplitude": 0.05},
+            {"wave_index": 0.9, "wave_direction": -1.0, "wave_speed": 0.08, "wave_amplitude": 0.04},
+            {"wave_index": 0.9, "speed_over_asked": 0.8, "amplitude_over_asked": 0.8},
+        ),
+        (
+            "peristalsis",
+            {"speed": 0.1, "amplitude": 0.05},
+            {"wave_index": 0.9, "wave_direction": -1.0, "wave_speed": 0.1, "wave_amplitude": 0.05},
+            {"wave_index": 0.9, "speed_over_asked": -1.0, "amplitude_over_asked": 1.0},
+        ),
+    ],
+)
+def test_outcomes_are_judged_by_what_was_asked(
+    task: str, command: dict[str, float], outcome: dict[str, float], expected: dict[str, float]
+) -> None:
+    """Numbers that mean the same under every command, with nothing said of the azimuth of an upright worm."""
+    assert outcome_errors(task, command, outcome) == pytest.approx(expected)
+
+
+def test_judged_outcomes_reach_evaluation_and_log(tmp_path: Path) -> None:
+    """Both average them, each over the episodes that have them."""
+    config = replace(TINY, task="bending", total_steps=80, run_dir=tmp_path / "bend")
+    run = Run.open(train(config))
+    assert 0.0 <= run.rows()[-1]["worm/outcome_off_azimuth_deg"] <= 180.0
+    scores = evaluate(run.path, episodes=2)
+    assert scores["gait"].outcome_mean["off_azimuth_deg"] < 20.0
+    assert set(scores["nothing"].outcome_mean) == {"bend_deg"}
+    assert re.search(r"do nothing .* - +0 of 2", format_scores(scores))
+
+
+def test_evaluation_never_uses_the_seeds_of_training(copy: Path) -> None:
+    """Neither those of the first session nor those of a later one."""
+    with pytest.raises(InputError, match=r"^seed = 2: .*training.* 3"):
+        evaluate(copy, episodes=2, seed=2)
+    train(replace(resume_settings(copy), total_steps=240))
+    later = worm_seeds(TINY, 160)
+    with pytest.raises(InputError, match=rf"^seed = {later[0]}: "):
+        evaluate(copy, episodes=1, seed=later[0])
+    assert EVALUATION_SEED >= 10**6
+
+
+def test_random_actions_do_not_repeat_the_draws_of_the_command() -> None:
+    """The baseline has a stream of its own."""
+    env = make_env(run_folder.requested_arguments(TrainConfig(task="bending")))
+    _, info = env.reset(seed=5)
+    first = random_actions(env, 5)(None)[0]
+    assert 0.5 * (first + 1.0) != pytest.approx(info["command"]["azimuth"] / (2.0 * np.pi), abs=1e-6)
+
+
 def test_evaluation_report(copy: Path) -> None:
     """Scores are means over the seeds named, repeat, and order as they should."""
-    normaliser = (copy / "vecnormalize.pkl").read_bytes()
+    normaliser = (Run.open(copy).newest / "vecnormalize.pkl").read_bytes()
     scores = evaluate(copy, episodes=2, seed=50, command="a command")
     report = json.loads((copy / "evaluation.json").read_text())
     assert report["made"]["command"] == "a command"
     assert report["seeds"] == [50, 51]
+    assert report["steps"] == 160
     assert report["made"]["versions"]["numpy"] == np.__version__
     assert set(report["policies"]) == set(POLICIES)
     for name, result in scores.items():
@@ -245,7 +397,7 @@ def test_evaluation_report(copy: Path) -> None:
     assert scores["gait"].return_mean > scores["random"].return_mean > 1.0
     assert scores["gait"].outcome_mean["strain"] == pytest.approx(0.31, abs=0.02)
     assert evaluate(copy, episodes=2, seed=50) == scores
-    assert (copy / "vecnormalize.pkl").read_bytes() == normaliser
+    assert (Run.open(copy).newest / "vecnormalize.pkl").read_bytes() == normaliser
     text = format_scores(scores)
     assert len({len(line) for line in text.splitlines()}) == 1
     assert f"{scores['policy'].return_mean:.3f} +- {scores['policy'].return_std:.3f}" in text
@@ -257,9 +409,9 @@ def test_normalisation_matters_and_is_the_runs_own(finished: Path) -> None:
     env = make_env(run.env_arguments)
     start = make_policy("policy", run, env)
     by_hand = []
-    normaliser = VecNormalize.load(str(finished / "vecnormalize.pkl"), DummyVecEnv([lambda: env]))
+    normaliser = VecNormalize.load(str(run.newest / "vecnormalize.pkl"), DummyVecEnv([lambda: env]))
     moments: Any = normaliser.obs_rms
-    model = PPO.load(finished / "model.zip", device="cpu")
+    model = PPO.load(run.newest / "model.zip", device="cpu")
     observation, _ = env.reset(seed=7)
     act = start(env, 7)
     for _ in range(10):
@@ -309,7 +461,15 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize("damage", DAMAGE)
 @pytest.mark.parametrize(
-    "name", ["config.json", "design.json", "muscles.json", "versions.json", "model.zip", "vecnormalize.pkl"]
+    "name",
+    [
+        "config.json",
+        "design.json",
+        "muscles.json",
+        "versions.json",
+        "checkpoints/000000000160/model.zip",
+        "checkpoints/000000000160/vecnormalize.pkl",
+    ],
 )
 def test_evaluation_names_a_damaged_file(copy: Path, name: str, damage: str) -> None:
     """Whatever happened to a file, the error names it."""
@@ -333,10 +493,25 @@ def test_rollout_names_a_damaged_evaluation(copy: Path) -> None:
         export(copy)
 
 
+def test_learning_curve_shows_no_score_of_an_older_model(copy: Path) -> None:
+    """A score belongs to the checkpoint that earned it; baselines stay."""
+    evaluate(copy, episodes=1)
+    assert set(evaluated(Run.open(copy))) == set(POLICIES.values())
+    train(replace(resume_settings(copy), total_steps=240))
+    assert set(evaluated(Run.open(copy))) == set(POLICIES.values()) - {"trained policy"}
+
+
+def test_run_without_a_checkpoint_cannot_be_evaluated(copy: Path) -> None:
+    """The error says what is missing."""
+    shutil.rmtree(copy / "checkpoints")
+    with pytest.raises(InputError, match=r"checkpoints: no checkpoint"):
+        evaluate(copy, episodes=1)
+
+
 def test_files_of_another_worm_are_refused(copy: Path, tmp_path: Path) -> None:
     """A model for another worm does not pass for this one's."""
     other = train(replace(TINY, task="compression", total_steps=80, run_dir=tmp_path / "other"))
-    shutil.copy(other / "model.zip", copy / "model.zip")
+    shutil.copy(Run.open(other).newest / "model.zip", Run.open(copy).newest / "model.zip")
     with pytest.raises(InputError, match=r"model\.zip: damaged or not of this kind: .*spaces do not match"):
         evaluate(copy, episodes=1)
 
@@ -356,13 +531,24 @@ def test_recorded_episode(finished: Path) -> None:
     assert np.all(trajectory.activation[-1] > 0.99)
     rise = trajectory.position[-1, :492, 2].max() - trajectory.position[0, :492, 2].max()
     assert rise == pytest.approx(0.031, abs=0.002)
-    assert trajectory.outcome[-1] == f"return {trajectory.reward.sum():.2f}   strain {rise / 0.1:.3g}"
+    assert trajectory.outcome[-1] == f"return {trajectory.reward.sum():.2f}   strain {100.0 * rise / 0.1:+.1f} %"
+
+
+def test_diverged_episode_is_recorded_to_its_end(tmp_path: Path) -> None:
+    """The last frame says what went wrong."""
+    (tmp_path / "design.json").write_text(LatticeDesign(max_tension=50.0).to_json())
+    run = Run.open(train(replace(TINY, design=tmp_path / "design.json", total_steps=80, run_dir=tmp_path / "run")))
+    trajectory = record(run, "gait", seed=2)
+    assert trajectory.n_frame < 41
+    assert trajectory.reward[-1] < -100.0
+    assert re.fullmatch(r"return -\d+\.\d\d   strain \S+ %   \w+ \(rod \d+, element \d+\)", trajectory.outcome[-1])
+    assert all("rod" not in line for line in trajectory.outcome[:-1])
 
 
 def test_rollout_artefacts_open(copy: Path) -> None:
     """Every file can be read and shows something."""
     evaluate(copy, episodes=1)
-    files = export(copy, "policy", seed=11)
+    files = export(copy, "policy", seed=11, gif=(0.3, 0.6))
     trajectory = Trajectory.load(files.trajectory)
     ffmpeg = extra("imageio_ffmpeg").get_ffmpeg_exe()
     command = [ffmpeg, "-i", str(files.video), "-f", "rawvideo", "-pix_fmt", "gray", "-"]
@@ -371,6 +557,15 @@ def test_rollout_artefacts_open(copy: Path) -> None:
     assert np.abs(frames[-1] - frames[0]).max() > 100.0
     for picture in (files.activation, files.learning_curve):
         assert iio.imread(picture).std() > 5.0
+    assert files.gif == copy / "policy-11.gif"
+    assert iio.imread(files.gif, index=None).shape == (7, 360, 480, 3)
+
+
+@pytest.mark.parametrize("span", [(0.6, 0.3), (-1.0, 1.0), (1.0, 2.5), (np.nan, 1.0), (0.01, 0.02)])
+def test_gif_of_no_part_of_the_episode_is_refused(copy: Path, span: tuple[float, float]) -> None:
+    """The error names the span and the episode's."""
+    with pytest.raises(InputError, match=r"^gif = \(.*\): must be .* 0 to 2 s"):
+        export(copy, "gait", gif=span)
 
 
 @pytest.mark.parametrize(("policy", "seed", "message"), [("swim", 1, "policy = 'swim'"), ("gait", -1, "seed = -1")])
@@ -400,13 +595,14 @@ def test_benchmark_report(tmp_path: Path) -> None:
 
 def test_demo_reuses_its_run(copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """A second demo does not train again unless asked to."""
-    monkeypatch.setattr(demo_module, "export", Run.open)
-    model = (copy / "model.zip").read_bytes()
+    nothing = Artefacts(copy, copy, copy, copy)
+    monkeypatch.setattr(demo_module, "export", lambda _path: nothing)
+    model = (Run.open(copy).newest / "model.zip").read_bytes()
     learned = demo_module.demo(copy, TINY, episodes=1)
     means = {k: v["return_mean"] for k, v in json.loads((copy / "evaluation.json").read_text())["policies"].items()}
     assert learned == (means["policy"] > max(means["nothing"], means["random"]))
     assert ("DOES NOT beat" in capsys.readouterr().out) == (not learned)
-    assert (copy / "model.zip").read_bytes() == model
+    assert (Run.open(copy).newest / "model.zip").read_bytes() == model
     with pytest.raises(InputError, match="other settings; discard it with"):
         demo_module.demo(copy, replace(TINY, seed=5))
     demo_module.demo(copy, replace(TINY, seed=5), fresh=True, episodes=1)

@@ -175,6 +175,17 @@ def test_a_fresh_start_after_divergence(engine_name: EngineName, lattice: Lattic
         assert np.array_equal(getattr(used.state, field), getattr(fresh.state, field)), field
 
 
+def test_random_activation_pumps_no_twist(lattice: Lattice) -> None:
+    """Ten seconds of tension that jumps 20 times a second: no muscle spins up, as all do with little damping."""
+    model = build_model(lattice, named_layout("all", lattice))
+    dt = default_dt(model, 0.05)
+    engine = make_engine("fused", model, dt)
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        assert engine.advance(rng.uniform(0.0, 0.5, (2, model.n_muscle)), round(0.05 / dt)).ok
+        assert np.abs(engine.state.omega[model.element_offset[12] :, 2]).max() < 10.0
+
+
 def test_a_ramp_is_the_mean_of_its_ends(engine_name: EngineName, lattice: Lattice) -> None:
     """Over one step a ramp acts as its middle; over several it differs from the held mean."""
     model = build_model(lattice, named_layout("extension", lattice))

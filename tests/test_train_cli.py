@@ -113,6 +113,9 @@ def test_bending_is_not_driven_by_rings() -> None:
     assert TrainConfig(task="bending").driven == "column"
     assert TrainConfig(task="peristalsis").driven == "ring"
     assert TrainConfig(task="bending", control="muscle").driven == "muscle"
+    with pytest.raises(InputError, match=r"^control = 'ring': must be "):
+        TrainConfig(task="bending", control="ring")
+    TrainConfig(task="bending", control="ring", muscles="one-sided.json")
 
 
 def test_every_setting_has_a_docstring_on_the_command_line() -> None:
@@ -126,8 +129,9 @@ def test_every_setting_has_a_docstring_on_the_command_line() -> None:
     assert "[s]" in text
 
 
-def test_killed_run_resumes_and_ctrl_c_saves(tmp_path: Path) -> None:
-    """Neither SIGKILL nor ctrl-C in a terminal loses a run."""
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_killed_run_resumes_and_a_signal_saves(tmp_path: Path, number: signal.Signals) -> None:
+    """Neither SIGKILL nor ctrl-C in a terminal nor the end of a batch job loses a run."""
     path = tmp_path / "run"
     options = ["--n-envs", "2", "--n-steps", "40", "--batch-size", "40", "--checkpoint-every", "80"]
     first = _start(["--task", "extension", "--total-steps", "1000000", "--run-dir", str(path), *options])
@@ -137,11 +141,11 @@ def test_killed_run_resumes_and_ctrl_c_saves(tmp_path: Path) -> None:
     steps = Run.open(path).steps
     second = _start(["--resume", str(path)])
     _wait_for(lambda: Run.open(path).steps > steps, second)
-    os.killpg(second.pid, signal.SIGINT)  # as a terminal does: to the learner and to every worm
+    os.killpg(second.pid, number)  # as a terminal or a batch system does: to the learner and to every worm
     out, err = second.communicate(timeout=30)
     assert second.returncode == 0, err
     assert f"{path}: {steps} of 1000000 steps done" in out
-    assert f"stopped by SIGINT; continue with: python train.py --resume {path}" in out
+    assert f"stopped by {number.name}; continue with: python train.py --resume {path}" in out
     assert [session["from_step"] for session in json.loads((path / "versions.json").read_text())] == [0, steps]
     assert not list(path.rglob("unfinished-*"))
 
