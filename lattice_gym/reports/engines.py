@@ -50,7 +50,15 @@ def _differences(fused: Engine, reference: Engine) -> dict[str, float]:
     a, b = fused.state, reference.state
     differences = {field: float(np.abs(getattr(a, field) - getattr(b, field)).max()) for field in FIELDS}
     largest = {field: float(np.abs(getattr(b, field)).max()) for field in FIELDS}
-    return differences | {f"relative {field}": differences[field] / max(largest[field], 1e-300) for field in FIELDS}
+    return differences | {
+        f"relative {field}": differences[field] / largest[field] for field in FIELDS if largest[field] > 0.0
+    }
+
+
+def _shown(row: dict[str, Any], field: str) -> str:
+    """Absolute difference, and the relative one where the field is not zero all over."""
+    relative = row.get(f"relative {field}")
+    return f"{row[field]:.1e}" + ("" if relative is None else f" ({relative:.1e})")
 
 
 def speed(model: RodModel, repeats: int) -> dict[str, list[float]]:
@@ -94,10 +102,7 @@ def report(folder: Path, *, command: str, repeats: int = 7, n_control: int = rou
         "Largest difference between the engines (over the largest value), default design, all 90 muscles:",
         table(
             ["after", *(f"{field} [{unit}]" for field, unit in FIELDS.items())],
-            [
-                [row["after"], *(f"{row[field]:.1e} ({row[f'relative {field}']:.1e})" for field in FIELDS)]
-                for row in differences
-            ],
+            [[row["after"], *(_shown(row, field) for field in FIELDS)] for row in differences],
         ),
         f"The engines {'agree' if agree else 'DO NOT AGREE'} within {STEP_LIMIT:g} of position and velocity "
         f"after a step, and {EPISODE_LIMIT:g} m at the end.",
