@@ -147,8 +147,10 @@ class TrainConfig:
     def __post_init__(self) -> None:
         """Check every field."""
         for name, choices in _CHOICES.items():
-            if getattr(self, name) not in choices and not (name in _OPTIONAL and getattr(self, name) is None):
-                raise InputError(f"{name} = {getattr(self, name)!r}: must be one of {', '.join(choices)}")
+            value = getattr(self, name)
+            chosen = isinstance(value, str) and value in choices
+            if not chosen and not (name in _OPTIONAL and value is None):
+                raise InputError(f"{name} = {value!r}: must be one of {', '.join(choices)}")
         for name in _SWITCHES:
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"{name} = {getattr(self, name)!r}: must be true or false")
@@ -163,7 +165,7 @@ class TrainConfig:
             raise InputError(f"hidden_sizes = {sizes!r}: must be a tuple of whole numbers in {_WIDTH}")
         if self.n_envs * self.n_steps % self.batch_size:
             samples = self.n_envs * self.n_steps
-            raise InputError(f"batch_size = {self.batch_size}: must divide n_envs * n_steps = {samples}")
+            raise InputError(f"batch_size = {self.batch_size}: must divide n_envs * n_steps = {samples}; give all three")
         for name in ("design", "run_dir", "resume"):
             if not isinstance(getattr(self, name), Path | None):
                 raise InputError(f"{name} = {getattr(self, name)!r}: must be a path")
@@ -183,6 +185,8 @@ class TrainConfig:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TrainConfig:
         """Build settings from `to_dict`; an unknown name raises InputError."""
+        if not isinstance(values, Mapping):
+            raise InputError(f"settings = {values!r}: must be a mapping of names to values")
         known = {field.name for field in fields(cls)} - set(_PLACES)
         if unknown := sorted(set(values) - known):
             raise InputError(f"{unknown[0]}: unknown setting; known are {', '.join(sorted(known))}")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from agents.config import InputError, TrainConfig, within
@@ -93,6 +93,7 @@ def test_settings_survive_json(config: TrainConfig) -> None:
     assert TrainConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
 
+@example({"n_envs": 1})
 @given(
     st.dictionaries(st.sampled_from([f.name for f in fields(TrainConfig)] + ["x"]), st.integers() | st.text(max_size=3))
 )
@@ -105,7 +106,8 @@ def test_settings_from_anything_are_sound_or_refused(values: dict[str, Any]) -> 
         refused = str(error).split()[0].rstrip(":")
     else:
         assert {name: taken[name] for name in values} == values
-    assert refused is None or refused in values
+    # Worms and their steps may be too few for the batch that was not given.
+    assert refused is None or refused in values or (refused == "batch_size" and {"n_envs", "n_steps"} & values.keys())
 
 
 def test_bending_is_not_driven_by_rings() -> None:
