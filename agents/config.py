@@ -165,7 +165,7 @@ class TrainConfig:
             raise InputError(f"hidden_sizes = {sizes!r}: must be a tuple of whole numbers in {_WIDTH}")
         if self.n_envs * self.n_steps % self.batch_size:
             samples = self.n_envs * self.n_steps
-            raise InputError(f"batch_size = {self.batch_size}: must divide n_envs * n_steps = {samples}; give all three")
+            raise InputError(f"batch_size = {self.batch_size}: must divide n_envs * n_steps = {samples}; set all")
         for name in ("design", "run_dir", "resume"):
             if not isinstance(getattr(self, name), Path | None):
                 raise InputError(f"{name} = {getattr(self, name)!r}: must be a path")

@@ -9,7 +9,6 @@ from lattice_gym.design import LatticeDesign
 from lattice_gym.engines import EngineName
 from lattice_gym.lattice import Lattice, build_lattice
 
-
 # The same examples every time: a suite that fails must fail again.
 settings.register_profile("seeded", derandomize=True)
 settings.load_profile("seeded")
