@@ -45,6 +45,44 @@ def wrap_angle(angle: FloatArray) -> FloatArray:
     return (angle + math.pi) % TURN - math.pi
 
 
+def finite_number(value: object) -> float | None:
+    """Finite real number as a float, or None; True and False are none."""
+    if isinstance(value, Real) and not isinstance(value, bool):
+        try:
+            number = float(value)
+        except OverflowError:
+            return None
+        if math.isfinite(number):
+            return number
+    return None
+
+
+def whole_number(value: object) -> int | None:
+    """Whole number as an int, or None; True and False are none."""
+    return int(value) if isinstance(value, Integral) and not isinstance(value, bool) else None
+
+
+def real_array(name: str, values: npt.ArrayLike) -> FloatArray:
+    """Copy of values as an array of floats; a ValueError of that name if they are not all finite real numbers."""
+    try:
+        given = np.asarray(values)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: must be an array of real numbers, got {shown(values)}") from None
+    if given.dtype.kind not in "fiu" and given.size:
+        raise ValueError(f"{name}: must be an array of real numbers, got {shown(values)}")
+    with np.errstate(over="ignore"):
+        array = given.astype(np.float64) if given.size else np.zeros(given.shape)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: must be finite")
+    return array
+
+
+def shown(value: object) -> str:
+    """Repr of a value for a message, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 200 else text[:200] + "..."
+
+
 def _real(low: float, high: float, unit: str, default: float) -> Any:
     """Dataclass field for a float between low and high (both included)."""
     return field(default=default, metadata={"low": low, "high": high, "unit": unit})
@@ -86,7 +124,9 @@ class LatticeDesign:
     ratio of the period T to the height is not legible; 3/2 gives its 42 vertical muscles. Rise and decay times follow
     Thelen (2003). The rotational damping is ours, damping times radius^2 / 2: twist then decays as fast as motion. It
     changes no strain by 0.1 %, but with a tenth of it the twist of muscles under random activation grows within seconds
-    until they turn over. Anything that cannot be built is a ValueError that names field, value and bound.
+    until they turn over. Damping is stated per node, so that a finer mesh is damped more; with ``damping_mesh`` the
+    structure rods have the damping per length of that mesh, whatever theirs is. Anything that cannot be built is a
+    ValueError that names field, value and bound.
     """
 
     # Shape
@@ -99,6 +139,7 @@ class LatticeDesign:
     # Mesh
     elements_per_segment: int = _count(1, MAX_ELEMENTS, 5)
     elements_per_muscle: int = _count(2, 1000, 2)
+    damping_mesh: int | None = None  # elements per segment that the rods' damping is stated for; None: this mesh's
     # Material
     structure_radius: float = _real(1e-9, 1e3, "m", 5e-3)
     structure_density: float = _real(1e-3, 1e6, "kg/m^3", 1070.0)
@@ -108,6 +149,7 @@ class LatticeDesign:
     muscle_density: float = _real(1e-3, 1e6, "kg/m^3", 1060.0)
     muscle_youngs_modulus: float = _real(1e-3, 1e13, "Pa", 25e3)
     muscle_poisson_ratio: float = 0.5
+    muscle_model: str = "rod"  # "rod", or "line": no nodes of its own, cheaper
     # Actuation
     max_tension: float = _real(0.0, 1e6, "N", 0.5)
     rise_time: float = _real(1e-6, 1e6, "s", 0.015)
@@ -129,8 +171,15 @@ class LatticeDesign:
             if not -1.0 < value <= 0.5:
                 raise self._error(name, value, "must be above -1 and at most 0.5")
             self._set(name, value)
-        if self.base not in ("clamped", "free"):
-            raise self._error("base", self.base, 'must be "clamped" or "free"')
+        for name, choices in (("muscle_model", ("rod", "line")), ("base", ("clamped", "free"))):
+            value = getattr(self, name)
+            if not isinstance(value, str) or value not in choices:
+                raise self._error(name, value, f'must be "{choices[0]}" or "{choices[1]}"')
+        if self.damping_mesh is not None:
+            if not 1 <= (mesh := self._whole("damping_mesh", self.damping_mesh)) <= MAX_ELEMENTS:
+                bound = f"must be None or a whole number from 1 to {MAX_ELEMENTS}"
+                raise self._error("damping_mesh", self.damping_mesh, bound)
+            self._set("damping_mesh", mesh)
         if 2 * self.n_pairs * self.elements_per_segment * max(1.0, 2 * self.n_pairs / self.period_ratio) > MAX_ELEMENTS:
             others = f"period_ratio = {self.period_ratio!r} and elements_per_segment = {self.elements_per_segment}"
             raise self._error("n_pairs", self.n_pairs, f"with {others} makes more than {MAX_ELEMENTS} elements")
@@ -153,6 +202,11 @@ class LatticeDesign:
     def period(self) -> float:
         """Height T over which a rod turns once [m]; period_ratio times height, to rounding exactly what closes."""
         return 2 * self.n_pairs / self.n_segment * self.height
+
+    @property
+    def damping_share(self) -> float:
+        """Share of the stated damping that a node, or element, of a structure rod takes on this mesh."""
+        return 1.0 if self.damping_mesh is None else self.damping_mesh / self.elements_per_segment
 
     @cached_property
     def rod_phases(self) -> FloatArray:
@@ -273,9 +327,9 @@ class LatticeDesign:
         exact = steps / self.period_ratio
         if abs(exact - round(exact)) > CLOSING_TOLERANCE * exact:
             nearest = [Fraction(steps, count) for count in (math.floor(exact) + 1, math.floor(exact)) if count > 0]
-            shown = " and ".join(f"{ratio} ({float(ratio)!r})" for ratio in nearest)
+            named = " and ".join(f"{ratio} ({float(ratio)!r})" for ratio in nearest)
             raise self._error(
-                "period_ratio", self.period_ratio, f"the lattice does not close; the nearest that close it: {shown}"
+                "period_ratio", self.period_ratio, f"the lattice does not close; the nearest that close it: {named}"
             )
         if self.n_segment * self.elements_per_segment < 2:
             bound = "must be at least 2 where a rod has one segment: PyElastica takes no rod of one element"
@@ -311,18 +365,13 @@ class LatticeDesign:
         object.__setattr__(self, name, value)
 
     def _error(self, name: str, value: object, bound: str) -> ValueError:
-        shown = repr(value)
-        return ValueError(f"LatticeDesign.{name} = {shown if len(shown) <= 200 else shown[:200] + '...'}: {bound}")
+        return ValueError(f"LatticeDesign.{name} = {shown(value)}: {bound}")
 
     def _number(self, name: str, value: object, unit: str) -> float:
-        if isinstance(value, Real) and not isinstance(value, bool):
-            try:
-                number = float(value)
-            except OverflowError:
-                number = math.inf
-            if math.isfinite(number):
-                return number
-        raise self._error(name, value, f"must be a finite number [{unit}]")
+        number = finite_number(value)
+        if number is None:
+            raise self._error(name, value, f"must be a finite number [{unit}]")
+        return number
 
     def _whole(self, name: str, value: object) -> int:
         """Whole number; 3.0, as other programs write 3 in JSON, is one."""
@@ -336,6 +385,7 @@ class LatticeDesign:
         if (
             isinstance(value, (Sequence, np.ndarray))
             and not isinstance(value, (str, bytes))
+            and getattr(value, "ndim", 1) > 0
             and len(value) == self.n_rod
         ):
             return tuple(value)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import TURN, FloatArray, IntArray, is_number
+from lattice_gym.design import TURN, FloatArray, IntArray, is_number, shown
 from lattice_gym.lattice import Lattice
 from lattice_gym.muscles import MuscleLayout
 
@@ -26,6 +26,8 @@ FULL_DRIVE_AMPLITUDE = 0.06
 """Amplitude of the ring radii over the rest radius that the wave reaches at full drive in the default design."""
 LEAST, MOST = 1e-9, 1e9
 """Sizes that the numbers of a gait lie between, wide enough for any body in SI units; some may also be 0."""
+
+TASKS_WITH_GAITS = ("extension", "compression", "bending", "peristalsis")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,15 +68,15 @@ def gait(task: str, lattice: Lattice, layout: MuscleLayout, command: Mapping[str
     A command is the task's own (`env.unwrapped.task.command`): bending needs `azimuth`, peristalsis `speed`,
     `wavelength`, `amplitude` and `phase`.
     """
+    if not isinstance(task, str) or task not in TASKS_WITH_GAITS:
+        raise ValueError(f"task = {shown(task)}: must be one of {', '.join(TASKS_WITH_GAITS)}")
     if task == "extension":
         return extension_gait(lattice, layout)
     if task == "compression":
         return compression_gait(lattice, layout)
     if task == "bending":
         return bending_gait(lattice, layout, **_only(task, command, "azimuth"))
-    if task == "peristalsis":
-        return peristalsis_gait(lattice, layout, **_only(task, command, "speed", "wavelength", "amplitude", "phase"))
-    raise ValueError(f"task = {task!r}: must be one of extension, compression, bending, peristalsis")
+    return peristalsis_gait(lattice, layout, **_only(task, command, "speed", "wavelength", "amplitude", "phase"))
 
 
 def extension_gait(lattice: Lattice, layout: MuscleLayout) -> Gait:
@@ -162,7 +164,7 @@ def _check(least: float, **values: object) -> None:
     """Refuse what is no number from `least` to MOST, by its name."""
     for name, value in values.items():
         if not is_number(value) or not least <= value <= MOST:
-            raise ValueError(f"{name} = {value!r}: must be a number from {least:g} to {MOST:g}")
+            raise ValueError(f"{name} = {shown(value)}: must be a number from {least:g} to {MOST:g}")
 
 
 def _hold(offset: FloatArray) -> Gait:
@@ -189,6 +191,8 @@ def _longitudinal(lattice: Lattice, layout: MuscleLayout) -> npt.NDArray[np.bool
 
 
 def _only(task: str, command: Mapping[str, float], *names: str) -> dict[str, float]:
+    if not isinstance(command, Mapping):
+        raise ValueError(f"command = {shown(command)}: must be a mapping of names to numbers")
     missing = [name for name in names if name not in command]
     if missing:
         raise ValueError(f"command: {task} needs {', '.join(names)}; missing {', '.join(missing)}")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import FloatArray, IntArray
+from lattice_gym.design import FloatArray, IntArray, finite_number, real_array, shown
 from lattice_gym.lattice import Lattice
 from lattice_gym.model import RodModel
 
@@ -196,7 +196,7 @@ def travelling_wave(radii: FloatArray, dt: float, level_height: FloatArray) -> T
         Rest heights of the levels [m], rising, shape (n_level,).
 
     """
-    radii, level_height = np.asarray(radii, dtype=np.float64), np.asarray(level_height, dtype=np.float64)
+    radii, level_height = real_array("radii", radii), real_array("level_height", level_height)
     _check_recording(radii, dt, level_height)
     motion = radii - radii.mean(axis=0)
     size = np.sqrt(np.mean(motion**2, axis=0))
@@ -224,8 +224,8 @@ def travelling_wave(radii: FloatArray, dt: float, level_height: FloatArray) -> T
 def _check_recording(radii: FloatArray, dt: float, level_height: FloatArray) -> None:
     if radii.ndim != 2 or radii.shape[0] < 4 or radii.shape[1] < 1 or not np.isfinite(radii).all():
         raise ValueError(f"radii: must be finite, of shape (n_time >= 4, n_level), got shape {radii.shape}")
-    if not (np.isfinite(dt) and dt > 0.0):
-        raise ValueError(f"dt: must be a positive time [s], got {dt}")
+    if (step := finite_number(dt)) is None or step <= 0.0:
+        raise ValueError(f"dt: must be a positive time [s], got {shown(dt)}")
     if (
         level_height.shape != radii.shape[1:]
         or not np.isfinite(level_height).all()

@@ -6,6 +6,7 @@ rod or two joined rods are built from the same parts. Symbols follow Gazzola et 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,15 +15,12 @@ from numbers import Integral
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import FloatArray, IntArray
+from lattice_gym.design import MAX_ELEMENTS, FloatArray, IntArray, finite_number, real_array, shown, whole_number
 from lattice_gym.lattice import Lattice
-from lattice_gym.muscles import MuscleLayout
+from lattice_gym.muscles import Muscle, MuscleLayout
 
 SHEAR_CORRECTION = 27.0 / 28.0
 """Kaneko 1975 for a circular section and Poisson's ratio 0.5, as PyElastica has it."""
-
-DT_MARGIN = 0.5
-"""Share of the predicted stable step that `default_dt` may use: room for what contraction adds to the stiffness."""
 
 _FRAME_TOLERANCE = 1e-9
 _DRIFT_TOLERANCE = 1e-6
@@ -31,14 +29,32 @@ _DRIFT_TOLERANCE = 1e-6
 
 def _array(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
     """Read-only float array of the given shape, or a ValueError that names it."""
+    given = real_array(name, value)
     try:
-        array = np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), shape))
-    except (TypeError, ValueError):
-        raise ValueError(f"{name}: must be real numbers of shape {shape}, got {value!r}") from None
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name}: must be finite")
+        array = np.array(np.broadcast_to(given, shape))
+    except ValueError:
+        raise ValueError(f"{name}: must be real numbers of shape {shape}, got {shown(value)}") from None
     array.setflags(write=False)
     return array
+
+
+def _number(name: str, value: object, *, above: bool) -> float:
+    """Finite number that is positive, or not negative; else a ValueError that names it."""
+    number = finite_number(value)
+    if number is None or number < 0.0 or (above and number == 0.0):
+        raise ValueError(
+            f"{name} = {shown(value)}: must be {'positive and finite' if above else 'finite and not negative'}"
+        )
+    return number
+
+
+def _parts(name: str, values: object, kind: type) -> None:
+    """Refuse what is no tuple (or list) of a kind of part."""
+    if not isinstance(values, tuple | list):
+        raise ValueError(f"{name} = {shown(values)}: must be a tuple of {kind.__name__}")
+    for k, value in enumerate(values):
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise ValueError(f"{name}[{k}] = {shown(value)}: must be {kind.__name__}")
 
 
 def _require(condition: bool, message: str) -> None:
@@ -48,7 +64,7 @@ def _require(condition: bool, message: str) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rod:
-    """One Cosserat rod of circular section, free of stress in the shape given here.
+    """One Cosserat rod of circular section, free of stress as given here unless `natural_curvature` says else.
 
     Raises
     ------
@@ -73,9 +89,14 @@ class Rod:
     """Translational damping [N s/m per node]."""
     rotational_damping: float = 0.0
     """[N m s per element]"""
+    natural_curvature: FloatArray | None = None
+    """Curvature and twist free of stress, in the material frame [1/m], shape (n_elem - 1, 3); None: those of the shape.
+
+    A rod held in a shape that is not its own: straight by nature, say, but bent and twisted between clamps.
+    """
 
     def __post_init__(self) -> None:
-        position = np.asarray(self.position, dtype=np.float64)
+        position = real_array("Rod.position", self.position)
         _require(
             position.ndim == 2 and position.shape[1] == 3 and len(position) >= 3,
             f"Rod.position: shape must be (n_elem + 1, 3) with n_elem >= 2, got {position.shape}",
@@ -83,13 +104,17 @@ class Rod:
         n_elem = len(position) - 1
         for name, shape in (("position", (n_elem + 1, 3)), ("directors", (n_elem, 3, 3)), ("radius", (n_elem,))):
             object.__setattr__(self, name, _array(f"Rod.{name}", getattr(self, name), shape))
-        _require(bool((self.rest_length > 0.0).all()), "Rod.position: two neighbouring nodes coincide")
+        if self.natural_curvature is not None:
+            curvature = _array("Rod.natural_curvature", self.natural_curvature, (n_elem - 1, 3))
+            object.__setattr__(self, "natural_curvature", curvature)
+        with np.errstate(all="ignore"):
+            size = self.rest_length
+        _require(bool(np.isfinite(size).all()), "Rod.position: nodes lie too far apart")
+        _require(bool((size > 0.0).all()), "Rod.position: two neighbouring nodes coincide")
         for name in ("density", "youngs_modulus", "shear_modulus"):
-            value = getattr(self, name)
-            _require(np.isfinite(value) and value > 0.0, f"Rod.{name} = {value}: must be positive and finite")
+            object.__setattr__(self, name, _number(f"Rod.{name}", getattr(self, name), above=True))
         for name in ("damping", "rotational_damping"):
-            value = getattr(self, name)
-            _require(np.isfinite(value) and value >= 0.0, f"Rod.{name} = {value}: must be finite and not negative")
+            object.__setattr__(self, name, _number(f"Rod.{name}", getattr(self, name), above=False))
         _require(bool((self.radius > 0.0).all()), "Rod.radius: must be positive")
         q = self.directors
         tangent = np.diff(self.position, axis=0) / self.rest_length[:, None]
@@ -97,6 +122,16 @@ class Rod:
         right_handed = bool((np.linalg.det(q) > 0.0).all())
         along = np.abs(q[:, 2] - tangent).max() < _FRAME_TOLERANCE
         _require(orthonormal and right_handed and along, "Rod.directors: must be right-handed frames, d3 the tangent")
+        self._check_constants()
+
+    def _check_constants(self) -> None:
+        """Refuse a rod whose numbers are each possible, but not together."""
+        with np.errstate(all="ignore"):
+            constants = [self.mass, self.inertia, self.stretch_stiffness, self.shear_stiffness]
+            constants += [self.bend_stiffness, self.twist_stiffness]
+            sound = all(bool((np.isfinite(c) & (c > 0.0) & np.isfinite(1.0 / c)).all()) for c in constants)
+        names = "Rod.position, radius, density, youngs_modulus, shear_modulus"
+        _require(sound, f"{names}: mass or stiffness leaves the range of numbers; some are far too large or too small")
 
     @property
     def n_elem(self) -> int:
@@ -160,7 +195,9 @@ class Rod:
 
     @cached_property
     def rest_kappa(self) -> FloatArray:
-        """Curvature and twist at rest in the material frame [1/m], shape (n_elem - 1, 3)."""
+        """Curvature and twist free of stress in the material frame [1/m], shape (n_elem - 1, 3)."""
+        if self.natural_curvature is not None:
+            return self.natural_curvature
         return rotation_between(self.directors[:-1], self.directors[1:]) / self.rest_voronoi[:, None]
 
 
@@ -180,7 +217,9 @@ def straight_frames(position: FloatArray, normal: npt.ArrayLike) -> FloatArray:
     """Directors along the elements of a rod, shape (n_elem, 3, 3), with d1 as near to `normal` as can be."""
     tangent = np.diff(position, axis=0)
     tangent = tangent / np.linalg.norm(tangent, axis=1)[:, None]
-    d1 = np.broadcast_to(np.asarray(normal, dtype=np.float64), tangent.shape)
+    d1 = _array("normal", normal, tangent.shape)
+    if np.abs(d1).max() > 0.0:
+        d1 = d1 / np.abs(d1).max()
     d1 = d1 - np.sum(d1 * tangent, axis=1)[:, None] * tangent
     length = np.linalg.norm(d1, axis=1)
     _require(bool((length > 1e-6).all()), "normal: must not lie along the rod")
@@ -203,15 +242,22 @@ def straight_rod(
 ) -> Rod:
     """Straight rod of `n_elem` equal elements from `start` to `end` [m]; d1 lies towards `normal` (default: any)."""
     a, b = _array("start", start, (3,)), _array("end", end, (3,))
-    _require(n_elem >= 2, f"n_elem = {n_elem}: must be at least 2")
+    count = whole_number(n_elem)
+    if count is None or not 2 <= count <= MAX_ELEMENTS:
+        raise ValueError(f"n_elem = {shown(n_elem)}: must be a whole number, at least 2, at most {MAX_ELEMENTS}")
     _require(bool((a != b).any()), "end: must differ from start")
-    position = a + np.linspace(0.0, 1.0, n_elem + 1)[:, None] * (b - a)
+    with np.errstate(all="ignore"):
+        chord = b - a
+        apart = float(np.linalg.norm(chord / count))
+        inside = math.isfinite(apart) and apart**2 > 0.0 and apart > 1e-12 * float(np.abs([a, b]).max())
+    _require(inside, f"end: lies too close to start, or too far from it, for {count} elements")
+    position = a + np.linspace(0.0, 1.0, count + 1)[:, None] * chord
     if normal is None:
         normal = np.eye(3)[np.argmin(np.abs(b - a))]
     return Rod(
         position=position,
         directors=straight_frames(position, normal),
-        radius=np.full(n_elem, radius),
+        radius=_array("Rod.radius", radius, (count,)),
         density=density,
         youngs_modulus=youngs_modulus,
         shear_modulus=shear_modulus,
@@ -230,6 +276,27 @@ class Joint:
     node_b: int
     stiffness: float
     damping: float = 0.0
+
+
+@dataclass(frozen=True)
+class Line:
+    """Muscle without nodes of its own: the tension and stretch of a straight rod between two nodes.
+
+    Its mass and its damping stand on its two ends, half on either.
+    """
+
+    rod_a: int
+    node_a: int
+    rod_b: int
+    node_b: int
+    rest_length: float
+    """[m]"""
+    stiffness: float
+    """E A [N]"""
+    mass: float = 0.0
+    """[kg]"""
+    damping: float = 0.0
+    """[N s/m]"""
 
 
 @dataclass(frozen=True)
@@ -259,6 +326,18 @@ class PointTorque:
     torque: tuple[float, float, float]
 
 
+PARTS: dict[str, type] = {
+    "rods": Rod,
+    "joints": Joint,
+    "clamps": Clamp,
+    "forces": PointForce,
+    "torques": PointTorque,
+    "muscles": Integral,
+    "lines": Line,
+}
+"""What each field of a `RodModel` holds."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RodModel:
     """An assembly of rods. Arrays over all nodes (elements) hold the rods one after another.
@@ -276,8 +355,13 @@ class RodModel:
     torques: tuple[PointTorque, ...] = ()
     muscles: tuple[int, ...] = ()
     """Rods that contract, in the order of the tensions."""
+    lines: tuple[Line, ...] = ()
+    """Muscles without nodes; their tensions follow those of `muscles`."""
 
     def __post_init__(self) -> None:
+        for name, kind in PARTS.items():
+            _parts(name, getattr(self, name), kind)
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         _require(len(self.rods) > 0, "rods: at least one is needed")
         for k, joint in enumerate(self.joints):
             self._check_index(f"joints[{k}]", joint.rod_a, joint.node_a, extra=1)
@@ -285,15 +369,19 @@ class RodModel:
             same = (joint.rod_a, joint.node_a) == (joint.rod_b, joint.node_b)
             _require(not same, f"joints[{k}]: joins a node with itself")
             for name in ("stiffness", "damping"):
-                value = getattr(joint, name)
-                good = np.isfinite(value) and value >= 0.0
-                _require(good, f"joints[{k}].{name} = {value}: must be finite and not negative")
+                _number(f"joints[{k}].{name}", getattr(joint, name), above=False)
+        for k, line in enumerate(self.lines):
+            self._check_index(f"lines[{k}]", line.rod_a, line.node_a, extra=1)
+            self._check_index(f"lines[{k}]", line.rod_b, line.node_b, extra=1)
+            for name in ("rest_length", "stiffness", "mass", "damping"):
+                _number(f"lines[{k}].{name}", getattr(line, name), above=name == "rest_length")
+            stiff = finite_number(float(line.stiffness) / float(line.rest_length)) is not None
+            _require(stiff, f"lines[{k}].rest_length = {line.rest_length}: far too short for its stiffness")
         for k, clamp in enumerate(self.clamps):
-            _require(
-                clamp.node is not None or clamp.element is not None, f"clamps[{k}]: holds neither node nor element"
-            )
-            self._check_index(f"clamps[{k}]", clamp.rod, clamp.node or 0, extra=1)
-            self._check_index(f"clamps[{k}]", clamp.rod, clamp.element or 0, extra=0)
+            held = clamp.node is not None or clamp.element is not None
+            _require(held, f"clamps[{k}]: holds neither node nor element")
+            self._check_index(f"clamps[{k}]", clamp.rod, 0 if clamp.node is None else clamp.node, extra=1)
+            self._check_index(f"clamps[{k}]", clamp.rod, 0 if clamp.element is None else clamp.element, extra=0)
         for k, force in enumerate(self.forces):
             self._check_index(f"forces[{k}]", force.rod, force.node, extra=1)
             _array(f"forces[{k}].force", force.force, (3,))
@@ -305,12 +393,11 @@ class RodModel:
         _require(len(set(self.muscles)) == len(self.muscles), "muscles: a rod is named twice")
 
     def _check_index(self, name: str, rod: int, index: int, *, extra: int) -> None:
-        for value in (rod, index):
-            whole = isinstance(value, Integral) and not isinstance(value, bool)
-            _require(whole, f"{name}: {value!r} must be a whole number")
-        _require(0 <= rod < len(self.rods), f"{name}: there is no rod {rod}")
+        if whole_number(rod) is None or not 0 <= rod < len(self.rods):
+            raise ValueError(f"{name}: there is no rod {shown(rod)}")
         count, part = self.rods[rod].n_elem + extra, "nodes" if extra else "elements"
-        _require(0 <= index < count, f"{name}: rod {rod} has {count} {part}, no number {index}")
+        if whole_number(index) is None or not 0 <= index < count:
+            raise ValueError(f"{name}: rod {rod} has {count} {part}, no number {shown(index)}")
 
     @property
     def n_rod(self) -> int:
@@ -320,7 +407,24 @@ class RodModel:
     @property
     def n_muscle(self) -> int:
         """Number of muscles."""
-        return len(self.muscles)
+        return len(self.muscles) + len(self.lines)
+
+    @cached_property
+    def node_mass(self) -> FloatArray:
+        """Mass of every node [kg], shape (n_node,): its rod's share and what lines put on it."""
+        return self._with_lines([rod.mass for rod in self.rods], "mass")
+
+    @cached_property
+    def node_damping(self) -> FloatArray:
+        """Translational damping of every node [N s/m], shape (n_node,)."""
+        return self._with_lines([np.full(rod.n_elem + 1, rod.damping) for rod in self.rods], "damping")
+
+    def _with_lines(self, of_rods: list[FloatArray], name: str) -> FloatArray:
+        total = np.concatenate(of_rods)
+        for line in self.lines:
+            for rod, node in ((line.rod_a, line.node_a), (line.rod_b, line.node_b)):
+                total[self.node_offset[rod] + node] += 0.5 * getattr(line, name)
+        return total
 
     @cached_property
     def node_offset(self) -> IntArray:
@@ -358,7 +462,7 @@ class RodModel:
         return slice(int(self.element_offset[rod]), int(self.element_offset[rod + 1]))
 
     def rest_state(self) -> RodState:
-        """Return the state in which no rod or joint is stressed."""
+        """Return the state in which every rod has the shape it was given and nothing moves."""
         return RodState(
             position=np.concatenate([rod.position for rod in self.rods]),
             velocity=np.zeros((self.n_node, 3)),
@@ -396,10 +500,12 @@ class RodState:
             "omega": (model.n_elem, 3),
         }
         for name, shape in shapes.items():
-            array = getattr(self, name)
+            array = real_array(f"RodState.{name}", getattr(self, name))
             _require(array.shape == shape, f"RodState.{name}: shape must be {shape}, got {array.shape}")
             _require(bool(np.isfinite(array).all()), f"RodState.{name}: must be finite")
-        _require(bool(np.isfinite(self.time)), f"RodState.time = {self.time}: must be finite")
+        _require(
+            finite_number(self.time) is not None, f"RodState.time = {shown(self.time)}: must be a finite number [s]"
+        )
         skew = np.abs(self.directors @ self.directors.transpose(0, 2, 1) - np.eye(3)).max()
         _require(bool(skew < _DRIFT_TOLERANCE), "RodState.directors: must be orthonormal")
         for clamp in model.clamps:
@@ -423,9 +529,6 @@ def build_model(lattice: Lattice, layout: MuscleLayout) -> RodModel:
     """Model of a lattice worm: its structure rods first, then a rod for each active muscle of `layout`, in order."""
     design = lattice.design
 
-    def shear_modulus(youngs_modulus: float, poisson_ratio: float) -> float:
-        return youngs_modulus / (2.0 * (1.0 + poisson_ratio))
-
     structure = [
         Rod(
             position=lattice.position[i],
@@ -433,91 +536,63 @@ def build_model(lattice: Lattice, layout: MuscleLayout) -> RodModel:
             radius=np.full(lattice.n_node - 1, design.structure_radius),
             density=design.structure_density,
             youngs_modulus=design.structure_youngs_modulus,
-            shear_modulus=shear_modulus(design.structure_youngs_modulus, design.structure_poisson_ratio),
-            damping=design.damping,
-            rotational_damping=design.rotational_damping,
+            shear_modulus=_shear_modulus(design.structure_youngs_modulus, design.structure_poisson_ratio),
+            damping=design.damping * design.damping_share,
+            rotational_damping=design.rotational_damping * design.damping_share,
         )
         for i in range(lattice.n_rod)
     ]
-    muscles = [
-        straight_rod(
-            lattice.site_position[muscle.start],
-            lattice.site_position[muscle.end],
-            design.elements_per_muscle,
-            radius=design.muscle_radius,
-            density=design.muscle_density,
-            youngs_modulus=design.muscle_youngs_modulus,
-            shear_modulus=shear_modulus(design.muscle_youngs_modulus, design.muscle_poisson_ratio),
-            damping=design.damping,
-            rotational_damping=design.rotational_damping,
-        )
-        for muscle in layout.active
-    ]
+    muscles = [_muscle_rod(lattice, muscle) for muscle in layout.active]
+    lines = tuple(_muscle_line(lattice, muscle, rod) for muscle, rod in zip(layout.active, muscles, strict=True))
+    as_lines = design.muscle_model == "line"
     return RodModel(
-        rods=(*structure, *muscles),
+        rods=tuple(structure) if as_lines else (*structure, *muscles),
         joints=tuple(_lattice_joints(lattice, layout)),
         clamps=tuple(Clamp(i, node=0, element=0) for i in range(lattice.n_rod)) if design.base == "clamped" else (),
-        muscles=tuple(range(lattice.n_rod, lattice.n_rod + len(muscles))),
+        muscles=() if as_lines else tuple(range(lattice.n_rod, lattice.n_rod + len(muscles))),
+        lines=lines if as_lines else (),
     )
 
 
+def _shear_modulus(youngs_modulus: float, poisson_ratio: float) -> float:
+    return youngs_modulus / (2.0 * (1.0 + poisson_ratio))
+
+
+def _muscle_rod(lattice: Lattice, muscle: Muscle) -> Rod:
+    design = lattice.design
+    return straight_rod(
+        lattice.site_position[muscle.start],
+        lattice.site_position[muscle.end],
+        design.elements_per_muscle,
+        radius=design.muscle_radius,
+        density=design.muscle_density,
+        youngs_modulus=design.muscle_youngs_modulus,
+        shear_modulus=_shear_modulus(design.muscle_youngs_modulus, design.muscle_poisson_ratio),
+        damping=design.damping,
+        rotational_damping=design.rotational_damping,
+    )
+
+
+def _muscle_line(lattice: Lattice, muscle: Muscle, rod: Rod) -> Line:
+    """Line with the length, stiffness, mass and damping of a muscle's rod."""
+    (rod_a, node_a), (rod_b, node_b) = (_tie(lattice, site) for site in (muscle.start, muscle.end))
+    length, stiffness = float(rod.rest_length.sum()), float(rod.stretch_stiffness[0])
+    return Line(rod_a, node_a, rod_b, node_b, length, stiffness, float(rod.mass.sum()), rod.damping * (rod.n_elem + 1))
+
+
+def _tie(lattice: Lattice, site: int) -> tuple[int, int]:
+    """Rod and node that muscles at a site are tied to: those of its right-handed rod."""
+    return int(lattice.site_rod[site, 0]), int(lattice.site_node[site, 0])
+
+
 def _lattice_joints(lattice: Lattice, layout: MuscleLayout) -> Iterator[Joint]:
-    """Join the two rods of every site, and each muscle's ends to the right-handed rods of its sites."""
+    """Join the two rods of every site, and muscle rods by their ends to the right-handed rods of their sites."""
     design = lattice.design
     spring = (design.joint_stiffness, design.joint_damping)
     for (rod_a, rod_b), (node_a, node_b) in zip(lattice.site_rod.tolist(), lattice.site_node.tolist(), strict=True):
         yield Joint(rod_a, node_a, rod_b, node_b, *spring)
+    if design.muscle_model == "line":
+        return
     for k, muscle in enumerate(layout.active):
         for site, node in ((muscle.start, 0), (muscle.end, design.elements_per_muscle)):
-            rod, at = int(lattice.site_rod[site, 0]), int(lattice.site_node[site, 0])
-            yield Joint(rod, at, lattice.n_rod + k, node, *spring)
-
-
-def stable_dt(model: RodModel) -> float:
-    """Predict the largest stable position-Verlet step near rest [s].
-
-    The highest squared frequency is bounded by that of a rod alone plus that of the joints alone, whose graph of
-    springs and masses has no eigenvalue above the largest sum, over a joint, of stiffness over mass at its two ends
-    (Anderson and Morley 1985). A dashpot acts on the velocity of the step before and takes its share likewise.
-    """
-    rod_square = max(_rod_bound(rod) for rod in model.rods)
-    spring, dashpot = _joint_bound(model, "stiffness"), _joint_bound(model, "damping")
-    square = rod_square + spring
-    # An oscillator with a lagged dashpot is stable while square dt^2 + 2 dashpot dt <= 4.
-    return float((np.sqrt(dashpot**2 + 4.0 * square) - dashpot) / square)
-
-
-def _rod_bound(rod: Rod) -> float:
-    """Largest squared frequency of a straight rod alone [1/s^2].
-
-    In the fastest motion neighbouring nodes move, and neighbouring elements turn, in opposite senses: a 2 x 2 problem
-    of deflection (shear alone) and turning (shear and bending), which is never below stretch alone.
-    """
-    stretch = _chain_bound(rod.stretch_stiffness / rod.rest_length, rod.mass)
-    bend = _chain_bound(rod.bend_stiffness / rod.rest_voronoi, rod.inertia)
-    deflect = _chain_bound(rod.shear_stiffness / rod.rest_length, rod.mass)
-    turn = float(np.max(rod.shear_stiffness * rod.rest_length / rod.inertia))
-    trace = bend + deflect + turn
-    return max(stretch, 0.5 * (trace + float(np.sqrt(trace**2 - 4.0 * deflect * bend))))
-
-
-def _chain_bound(stiffness: FloatArray, inertia: FloatArray) -> float:
-    """Largest eigenvalue, bounded from above, of bodies in a row (n,) with springs between them (n - 1,)."""
-    load = (np.append(stiffness, 0.0) + np.append(0.0, stiffness)) / inertia
-    return float(np.max(load[1:] + load[:-1]))
-
-
-def _joint_bound(model: RodModel, coefficient: str) -> float:
-    """Largest eigenvalue, bounded from above, of the joints' coefficient matrix over the node masses."""
-    mass = np.concatenate([rod.mass for rod in model.rods])
-    load = np.zeros(model.n_node)
-    ends = model.joint_nodes.tolist()
-    for joint, (a, b) in zip(model.joints, ends, strict=True):
-        load[a] += getattr(joint, coefficient) / mass[a]
-        load[b] += getattr(joint, coefficient) / mass[b]
-    return max((float(load[a] + load[b]) for a, b in ends), default=0.0)
-
-
-def default_dt(model: RodModel, control_dt: float) -> float:
-    """Largest step [s] that divides `control_dt` and stays below `DT_MARGIN` of the predicted stable step."""
-    return control_dt / int(np.ceil(control_dt / (DT_MARGIN * stable_dt(model))))
+            yield Joint(*_tie(lattice, site), lattice.n_rod + k, node, *spring)

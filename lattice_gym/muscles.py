@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import TURN, FloatArray, IntArray, wrap_angle
+from lattice_gym.design import TURN, FloatArray, IntArray, finite_number, real_array, shown, wrap_angle
 from lattice_gym.lattice import Lattice
 
 ORIENTATIONS = ("horizontal", "vertical", "custom")
@@ -29,7 +29,7 @@ BENDING_HORIZONTAL_HALF_WIDTH = math.radians(60.0)
 def _index(name: str, value: object) -> int:
     if isinstance(value, Integral) and not isinstance(value, bool) and (index := int(value)) >= 0:
         return index
-    raise ValueError(f"{name} = {value!r}: must be a whole number, 0 or more")
+    raise ValueError(f"{name} = {shown(value)}: must be a whole number, 0 or more")
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Muscle:
 
     def __post_init__(self) -> None:
         """Check what can be checked without a lattice."""
-        if self.orientation not in ORIENTATIONS:
+        if not isinstance(self.orientation, str) or self.orientation not in ORIENTATIONS:
             raise ValueError(f"Muscle.orientation = {self.orientation!r}: must be one of {', '.join(ORIENTATIONS)}")
         object.__setattr__(self, "start", _index("Muscle.start", self.start))
         object.__setattr__(self, "end", _index("Muscle.end", self.end))
@@ -66,7 +66,7 @@ class MuscleLayout:
 
     def __post_init__(self) -> None:
         """Refuse what is no muscle and a second muscle between the same two sites."""
-        object.__setattr__(self, "muscles", tuple(self.muscles))
+        object.__setattr__(self, "muscles", tuple(_each("MuscleLayout.muscles", self.muscles)))
         seen = set()
         for muscle in self.muscles:
             if not isinstance(muscle, Muscle):
@@ -104,7 +104,7 @@ class MuscleLayout:
         """
         mask = np.ones(len(self.muscles), dtype=np.bool_)
         if orientation is not None:
-            if orientation not in ORIENTATIONS:
+            if not isinstance(orientation, str) or orientation not in ORIENTATIONS:
                 raise ValueError(f"orientation = {orientation!r}: must be one of {', '.join(ORIENTATIONS)}")
             mask &= np.array([muscle.orientation == orientation for muscle in self.muscles], dtype=np.bool_)
         sites = _sites(self.muscles, lattice)
@@ -195,15 +195,16 @@ def bending_layout(lattice: Lattice, azimuth: float = 0.0) -> MuscleLayout:
 
 def named_layout(name: str, lattice: Lattice) -> MuscleLayout:
     """Layout by name: "extension" (rings), "compression" (vertical), "bending" or "all" (rings and vertical)."""
+    if not isinstance(name, str) or name not in LAYOUTS:
+        choices = f"{', '.join(LAYOUTS)}, a MuscleLayout or its dict form"
+        raise ValueError(f"muscles = {shown(name)}: must be one of {choices}")
     if name == "extension":
         return horizontal(lattice)
     if name == "compression":
         return vertical(lattice)
     if name == "bending":
         return bending_layout(lattice)
-    if name == "all":
-        return horizontal(lattice) | vertical(lattice)
-    raise ValueError(f"muscles = {name!r}: must be one of {', '.join(LAYOUTS)}, a MuscleLayout or its dict form")
+    return horizontal(lattice) | vertical(lattice)
 
 
 def resolve_layout(muscles: str | MuscleLayout | Mapping[str, Any], lattice: Lattice) -> MuscleLayout:
@@ -261,36 +262,40 @@ def advance_activation(
     (Thelen 2003).
     """
     for name, value in (("rise_time", rise_time), ("decay_time", decay_time)):
-        if not (math.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} = {value!r}: must be positive and finite [s]")
-    if not (math.isfinite(duration) and duration >= 0.0):
-        raise ValueError(f"duration = {duration!r}: must be finite and not negative [s]")
-    if np.shape(activation) != np.shape(command):
-        raise ValueError(f"command has shape {np.shape(command)}: must have the activation's, {np.shape(activation)}")
-    for name, values in (("activation", activation), ("command", command)):
-        if not np.all(np.isfinite(values)):
-            raise ValueError(f"{name} must be finite")
-    left = np.where(command > activation, math.exp(-duration / rise_time), math.exp(-duration / decay_time))
+        if (number := finite_number(value)) is None or number <= 0.0:
+            raise ValueError(f"{name} = {shown(value)}: must be positive and finite [s]")
+    if (number := finite_number(duration)) is None or number < 0.0:
+        raise ValueError(f"duration = {shown(duration)}: must be finite and not negative [s]")
+    now, towards = real_array("activation", activation), real_array("command", command)
+    if now.shape != towards.shape:
+        raise ValueError(f"command has shape {towards.shape}: must have the activation's, {now.shape}")
+    left = np.where(towards > now, math.exp(-float(duration / rise_time)), math.exp(-float(duration / decay_time)))
     # Written from the command, not the activation: so no rounding carries the result past the command.
-    return command + left * (activation - command)
+    return towards + left * (now - towards)
 
 
 def _number(name: str, value: object) -> float:
-    if isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value):
-        return float(value)
-    raise ValueError(f"{name} = {value!r}: must be a finite number [rad]")
+    number = finite_number(value)
+    if number is None:
+        raise ValueError(f"{name} = {shown(value)}: must be a finite number [rad]")
+    return number
 
 
 def _each(name: str, values: Iterable[Any]) -> Iterable[Any]:
-    if isinstance(values, Iterable) and not isinstance(values, str):
+    if isinstance(values, Iterable) and not isinstance(values, str | bytes | type) and getattr(values, "ndim", 1) > 0:
         return values
-    raise ValueError(f"{name} = {values!r}: must be a sequence")
+    raise ValueError(f"{name} = {shown(values)}: must be a sequence")
 
 
 def _pair(name: str, value: Sequence[Any]) -> tuple[Any, Any]:
-    if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) and len(value) == 2:
+    if (
+        isinstance(value, Sequence | np.ndarray)
+        and not isinstance(value, str)
+        and getattr(value, "ndim", 1) > 0
+        and len(value) == 2
+    ):
         return value[0], value[1]
-    raise ValueError(f"{name}: {value!r} must be a pair")
+    raise ValueError(f"{name}: {shown(value)} must be a pair")
 
 
 def _need_levels(name: str, lattice: Lattice) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import FloatArray, LatticeDesign
+from lattice_gym.design import FloatArray, LatticeDesign, finite_number, real_array, shown
 from lattice_gym.lattice import build_lattice
 from lattice_gym.muscles import MuscleLayout, resolve_layout
 
@@ -31,9 +31,10 @@ ACTIVATION_TOLERANCE = 1e-6
 
 
 def n_nodes(design: LatticeDesign, layout: MuscleLayout) -> int:
-    """Nodes of the structure rods and of the active muscles together."""
+    """Nodes of the structure rods and of the active muscles together; muscles as lines have none."""
     per_rod = design.n_segment * design.elements_per_segment + 1
-    return design.n_rod * per_rod + len(layout) * (design.elements_per_muscle + 1)
+    per_muscle = design.elements_per_muscle + 1 if design.muscle_model == "rod" else 0
+    return design.n_rod * per_rod + len(layout) * per_muscle
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,6 +61,11 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         """Check everything against everything else."""
+        if not isinstance(self.design, LatticeDesign) or not isinstance(self.layout, MuscleLayout):
+            name = "layout" if isinstance(self.design, LatticeDesign) else "design"
+            raise ValueError(
+                f"Trajectory.{name} = {shown(getattr(self, name))}: must be a LatticeDesign, a MuscleLayout"
+            )
         resolve_layout(self.layout, build_lattice(self.design))
         n_frame, n_muscle = np.size(self.time), len(self.layout)
         shapes = {
@@ -78,6 +84,8 @@ class Trajectory:
         if n_muscle and np.max(np.abs(self.activation - 0.5)) > 0.5 + ACTIVATION_TOLERANCE:
             low, high = self.activation.min(), self.activation.max()
             raise ValueError(f"Trajectory.activation spans {low:g} to {high:g}: must lie in [0, 1]")
+        if not isinstance(self.outcome, tuple | list):
+            raise ValueError(f"Trajectory.outcome = {shown(self.outcome)}: must be a tuple of text, one a frame")
         object.__setattr__(self, "outcome", tuple(self.outcome))
         if len(self.outcome) != n_frame:
             raise ValueError(f"Trajectory.outcome has {len(self.outcome)} lines: must have one a frame, {n_frame}")
@@ -116,7 +124,7 @@ class Trajectory:
             raise ValueError(f"{path}: damaged, or not an .npz file: {error}") from error
         try:
             return cls(**_unpacked(packed))
-        except (ValueError, MemoryError, RecursionError) as error:
+        except Exception as error:  # numpy's reader of array headers lets through what Python's own parsers raise.
             raise ValueError(f"{path}: not a sound {FORMAT}: {error}") from error
 
 
@@ -138,6 +146,12 @@ class Recorder:
         """Copy a frame: time [s], positions (n_node, 3) [m], activations (n_muscle,), reward, line for the picture."""
         x = _checked("position", position, self._shapes["position"])
         a = _checked("activation", activation, self._shapes["activation"])
+        numbers = {"time": finite_number(time), "reward": finite_number(reward)}
+        for name, number in numbers.items():
+            if number is None:
+                raise ValueError(f"{name} = {shown(time if name == 'time' else reward)}: must be a finite number")
+        if not isinstance(outcome, str):
+            raise ValueError(f"outcome = {shown(outcome)}: must be text")
         self._frames.append((float(time), x, a, float(reward), outcome))
 
     def build(self) -> Trajectory:
@@ -178,11 +192,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 def _checked(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:
     """Read-only copy of values as the dtype of a trajectory's array, which must have the shape and be finite."""
-    try:
-        with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite and is refused below.
-            array = np.array(values, dtype=ARRAYS[name])
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"Trajectory.{name}: must be an array of numbers: {error}") from None
+    with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite and is refused below.
+        array = real_array(f"Trajectory.{name}", values).astype(ARRAYS[name])
     if array.shape != shape:
         raise ValueError(f"Trajectory.{name} has shape {array.shape}: must have {shape}")
     if not np.all(np.isfinite(array)):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.engines import EngineName, Status, make_engine
+from lattice_gym.engines import EngineName, Splitting, Status, make_engine
 from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.model import (
     Clamp,
@@ -19,12 +19,11 @@ from lattice_gym.model import (
     RodModel,
     RodState,
     build_model,
-    default_dt,
     rotation_between,
-    stable_dt,
     straight_rod,
 )
 from lattice_gym.muscles import named_layout
+from lattice_gym.stability import default_dt, stable_dt
 
 FIELDS = ("position", "velocity", "directors", "omega")
 
@@ -42,6 +41,7 @@ def largest_difference(a: RodState, b: RodState, field: str) -> float:
         {"rotational_damping": 0.0},
         {"rotational_damping": 1e-3, "damping": 3.0},
         {"joint_damping": 0.01, "base": "free"},
+        {"muscle_model": "line"},
         {"n_pairs": 4, "period_ratio": 1.6, "elements_per_segment": 3, "elements_per_muscle": 3},
     ],
 )
@@ -270,6 +270,32 @@ def test_refused_input(engine_name: EngineName, lattice: Lattice) -> None:
             engine.restore(replace(state, **{name.partition(":")[0]: array}))
     with pytest.raises(ValueError, match="must stay at rest"):
         engine.restore(replace(state, position=state.position + 1e-3))
+
+
+def test_splittings_differ_by_their_order_alone(lattice: Lattice) -> None:
+    """Damping split about the kick leaves an error that falls as dt^2; PyElastica's, after the kick, one as dt."""
+    model = build_model(lattice, named_layout("extension", lattice))
+    tension = np.full(model.n_muscle, 0.2)
+
+    def end(splitting: Splitting, steps: int) -> FloatArray:
+        engine = make_engine("fused", model, 0.02 / steps, splitting)
+        assert engine.advance(tension, steps).ok
+        return engine.state.position
+
+    truth = end("symmetric", 2560)
+    counts = np.array([80, 160, 320])
+    for splitting, order in (("symmetric", 2.0), ("pyelastica", 1.0)):
+        errors = [np.abs(end(cast(Splitting, splitting), steps) - truth).max() for steps in counts]
+        assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(order, abs=0.15), splitting
+
+
+def test_splittings_are_checked(lattice: Lattice) -> None:
+    """The reference damps as PyElastica does and in no other way; an unknown splitting is refused."""
+    model = build_model(lattice, named_layout("extension", lattice))
+    with pytest.raises(ValueError, match="splitting"):
+        make_engine("pyelastica", model, 1e-4, "symmetric")
+    with pytest.raises(ValueError, match="pyelastica, symmetric"):
+        make_engine("fused", model, 1e-4, cast(Splitting, "both"))
 
 
 def test_unknown_engine(lattice: Lattice) -> None:

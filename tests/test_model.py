@@ -1,4 +1,4 @@
-"""RodModel: constants of a rod, refused input, the lattice's assembly, and the predicted stable step."""
+"""RodModel: constants of a rod, refused input and the lattice's assembly."""
 
 from __future__ import annotations
 
@@ -11,19 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lattice_gym.design import LatticeDesign
-from lattice_gym.engines import make_engine
 from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.model import (
     Clamp,
     Joint,
+    Line,
     PointForce,
     PointTorque,
     Rod,
     RodModel,
     build_model,
-    default_dt,
     rotation_between,
-    stable_dt,
     straight_frames,
     straight_rod,
 )
@@ -90,6 +88,9 @@ def test_refused_rods(change: dict[str, object], name: str) -> None:
         ({"joints": (Joint(0, cast(int, 1.7), 1, 0, 1.0),)}, r"joints\[0\]"),
         ({"clamps": (Clamp(0),)}, r"clamps\[0\]"),
         ({"muscles": (1, 1)}, "muscles"),
+        ({"lines": (Line(0, 0, 1, 9, 1.0, 1.0),)}, r"lines\[0\]"),
+        ({"lines": (Line(0, 0, 1, 1, 0.0, 1.0),)}, r"lines\[0\].rest_length"),
+        ({"lines": (Line(0, 0, 1, 1, 1.0, 1.0, mass=np.nan),)}, r"lines\[0\].mass"),
         ({"muscles": (5,)}, r"muscles\[0\]"),
     ],
 )
@@ -172,57 +173,26 @@ def test_every_parameter_reaches_the_model() -> None:
         assert (made.damping, made.rotational_damping) == (0.02, 1e-8)
 
 
-def holds_still(model: RodModel, dt: float) -> bool:
-    """Whether 2,000 steps from a slightly shaken rest stay finite and small."""
-    engine = make_engine("fused", model, dt)
-    rest = model.rest_state()
-    shake = 1e-6 * np.random.default_rng(0).standard_normal(rest.velocity.shape)
-    for clamp in model.clamps:
-        shake[model.nodes(clamp.rod)][clamp.node or 0] = 0.0
-    engine.restore(replace(rest, velocity=shake))
-    return engine.advance(np.zeros(model.n_muscle), 2000).ok and bool(np.abs(engine.state.velocity).max() < 1e-3)
+def test_muscles_as_lines_keep_mass_and_damping() -> None:
+    """The same body with muscles as lines: no nodes of theirs, but their mass and drag on the crossings."""
+    models = []
+    for kind in ("rod", "line"):
+        lattice = build_lattice(LatticeDesign(muscle_model=kind))
+        models.append(build_model(lattice, named_layout("all", lattice)))
+    rods, lines = models
+    assert (lines.n_rod, lines.n_muscle, len(lines.joints)) == (12, 90, 54)
+    assert lines.node_mass.sum() == pytest.approx(rods.node_mass.sum(), rel=1e-12)
+    assert lines.node_damping.sum() == pytest.approx(rods.node_damping.sum(), rel=1e-12)
 
 
-def measured_dt(model: RodModel) -> float:
-    """Largest step that holds still, by bisection to 1 %."""
-    low, high = 0.2 * stable_dt(model), 4.0 * stable_dt(model)
-    while high / low > 1.01:
-        middle = np.sqrt(low * high)
-        low, high = (middle, high) if holds_still(model, middle) else (low, middle)
-    return low
-
-
-@pytest.mark.parametrize(("n_elem", "radius"), [(4, 0.05), (20, 0.05), (20, 0.005), (10, 0.2)])
-def test_stable_step_of_a_straight_rod(n_elem: int, radius: float) -> None:
-    """The prediction is not above the measured limit (known to 1 %) and within a tenth of it."""
-    made = straight_rod((0, 0, 0), (0, 0, 1), n_elem, **(STEEL | {"radius": radius}))
-    model = RodModel(rods=(made,))
-    assert 0.9 < stable_dt(model) / measured_dt(model) < 1.01
-
-
-@pytest.mark.parametrize("radii", [[0.05] * 5 + [0.01] * 5, [0.05] * 9 + [0.005], [0.05, 0.01] + [0.05] * 8])
-def test_stable_step_of_a_rod_of_varying_radius(radii: list[float]) -> None:
-    """A stiff region beside a light element decides; the prediction stays below the measured limit."""
-    position = np.linspace(0.0, 1.0, 11)[:, None] * [0.0, 0.0, 1.0]
-    made = rod(position=position, directors=straight_frames(position, (0.0, 1.0, 0.0)), radius=radii)
-    model = RodModel(rods=(made,))
-    assert 0.6 < stable_dt(model) / measured_dt(model) < 1.01
-
-
-def test_stable_step_of_joints_and_dashpots() -> None:
-    """Two nodes on a stiff spring: 2 / sqrt(2 k / m); a lagged dashpot lowers it."""
-    made = straight_rod((0, 0, 0), (0, 0, 1), 2, **(STEEL | {"youngs_modulus": 1.0, "shear_modulus": 1.0}))
-    for damping in (0.0, 300.0):
-        model = RodModel(rods=(made, made), joints=(Joint(0, 0, 1, 0, 1e6, damping),))
-        assert 0.95 < stable_dt(model) / measured_dt(model) < 1.01
-    undamped = RodModel(rods=(made, made), joints=(Joint(0, 0, 1, 0, 1e6),))
-    assert stable_dt(undamped) == pytest.approx(2.0 / np.sqrt(2e6 / made.mass[0]), rel=1e-3)
-
-
-def test_stable_step_of_the_lattice(lattice: Lattice) -> None:
-    """At rest the prediction is a lower bound within a third; the default step divides the control period below it."""
-    model = build_model(lattice, named_layout("all", lattice))
-    assert 0.66 < stable_dt(model) / measured_dt(model) < 1.0
-    dt = default_dt(model, 0.05)
-    assert dt <= 0.5 * stable_dt(model)
-    assert 0.05 / dt == pytest.approx(round(0.05 / dt), abs=1e-9)
+def test_natural_curvature() -> None:
+    """None means that of the shape; otherwise it is taken as given, checked and locked."""
+    rod = straight_rod((0, 0, 0), (0, 0, 1), 4, radius=0.1, density=1.0, youngs_modulus=1.0, shear_modulus=1.0)
+    assert np.abs(rod.rest_kappa).max() == 0.0
+    bent = replace(rod, natural_curvature=np.tile((0.1, 0.0, 0.2), (3, 1)))
+    assert bent.rest_kappa == pytest.approx(np.tile((0.1, 0.0, 0.2), (3, 1)))
+    assert not bent.rest_kappa.flags.writeable
+    with pytest.raises(ValueError, match=r"Rod\.natural_curvature"):
+        replace(rod, natural_curvature=np.zeros((4, 3)))
+    with pytest.raises(ValueError, match=r"Rod\.natural_curvature"):
+        replace(rod, natural_curvature=np.full((3, 3), np.nan))

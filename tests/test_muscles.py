@@ -405,8 +405,8 @@ def test_activation_input_is_left_alone() -> None:
 @pytest.mark.parametrize(
     ("values", "named"),
     [
-        ({"activation": np.array([math.nan])}, "activation must be finite"),
-        ({"command": np.array([math.inf])}, "command must be finite"),
+        ({"activation": np.array([math.nan])}, "activation: must be finite"),
+        ({"command": np.array([math.inf])}, "command: must be finite"),
         ({"command": np.zeros(2)}, r"command has shape \(2,\)"),
         ({"duration": -1.0}, "duration = -1.0"),
         ({"duration": math.nan}, "duration = nan"),

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ def trajectory(lattice: Lattice, model: RodModel) -> Trajectory:
     recorder = Recorder(lattice.design, named_layout("all", lattice), "extension")
     for s in share:
         position = rest_of(model) * (1.0 + s * (STRETCH - 1.0))
-        on = np.arange(model.n_muscle) < s * model.n_muscle
+        on = (np.arange(model.n_muscle) < s * model.n_muscle).astype(float)
         recorder.append(0.6 * s, position, on, outcome=f"strain {60 * s:.0f} %")
     return recorder.build()
 
@@ -128,6 +129,24 @@ def test_each_muscle_has_its_own_colour(lattice: Lattice, model: RodModel) -> No
         top, bottom = (renderer.update(rest, mask.astype(float)) for mask in (high, ~high))
     assert crimson(top[:110]) > 5 * crimson(top[130:])
     assert crimson(bottom[130:]) > 5 * crimson(bottom[:110])
+
+
+def test_muscles_as_lines_look_like_rods(lattice: Lattice, model: RodModel) -> None:
+    """At rest the pictures are the same to the last bit, colours included; lines follow their ends, and are filmed."""
+    design = replace(lattice.design, muscle_model="line")
+    layout = named_layout("all", lattice)
+    lines = build_model(build_lattice(design), layout)
+    assert lines.n_node < model.n_node
+    on = np.linspace(0.0, 1.0, model.n_muscle)
+    with Renderer(lattice, model, (320, 240)) as rods, Renderer(lattice, lines, (320, 240)) as renderer:
+        rest = renderer.update(rest_of(lines), on, 0.5, "a")
+        np.testing.assert_array_equal(rest, rods.update(rest_of(model), on, 0.5, "a"))
+        tall = renderer.update(rest_of(lines) * STRETCH, on, 0.5, "a")
+        np.testing.assert_array_equal(tall, rods.update(rest_of(model) * STRETCH, on, 0.5, "a"))
+    assert np.any(rest != tall)
+    recorder = Recorder(design, layout, "extension")
+    recorder.append(0.0, rest_of(lines), on)
+    assert recorder.build().n_frame == 1
 
 
 def test_picture_depends_on_nothing_shown_before(lattice: Lattice, model: RodModel) -> None:

@@ -63,10 +63,11 @@ def rewrite(path: Path, target: Path, **changes: Any) -> None:
     np.savez(target, **{name: value for name, value in values.items() if value is not None})
 
 
+@pytest.mark.parametrize("muscle_model", ["rod", "line"])
 @pytest.mark.parametrize("layout", ["extension", "all"])
-def test_node_count_is_the_models(layout: str) -> None:
+def test_node_count_is_the_models(layout: str, muscle_model: str) -> None:
     """What the design and the layout say is what the model has."""
-    lattice = build_lattice(LatticeDesign(elements_per_segment=2, elements_per_muscle=3))
+    lattice = build_lattice(LatticeDesign(elements_per_segment=2, elements_per_muscle=3, muscle_model=muscle_model))
     muscles = named_layout(layout, lattice)
     assert n_nodes(lattice.design, muscles) == build_model(lattice, muscles).n_node
 
@@ -121,7 +122,7 @@ def test_file_reads_without_pickle_or_this_package(saved: tuple[Path, Trajectory
         ("position", np.zeros((3, N_NODE - 1, 3)), "shape"),
         ("position", np.full((3, N_NODE, 3), np.inf), "finite"),
         ("position", np.full((3, N_NODE, 3), 1e300), "finite"),
-        ("position", "here", "array of numbers"),
+        ("position", "here", "array of real numbers"),
         ("activation", np.full((3, len(LAYOUT)), 1.01), "must lie in"),
         ("activation", np.full((3, len(LAYOUT)), -0.01), "must lie in"),
         ("activation", np.zeros((3, len(LAYOUT) + 1)), "shape"),

@@ -7,39 +7,53 @@ Both take the same step, position Verlet as PyElastica 1.0.0 has it: half a drif
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
-from numbers import Integral
 from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import FloatArray
+from lattice_gym.design import FloatArray, finite_number, real_array, shown, whole_number
+from lattice_gym.energy import ENERGY_TOLERANCE, EnergyMeter, Flow, Ledger, StoredEnergy, ledger
 from lattice_gym.model import RodModel, RodState
 
 EngineName = Literal["fused", "pyelastica"]
+Splitting = Literal["pyelastica", "symmetric"]
+"""When velocities are damped: once after the kick, as PyElastica does (first order), or half before and half after."""
 
 MIN_DILATATION, MAX_DILATATION = 0.1, 5.0
 """Length over rest length outside which an element counts as over-stretched: linear elasticity ended long before."""
 
+MAX_STEPS = 2**62
+"""What the step counter of the compiled code holds."""
+
 
 class Status(IntEnum):
-    """How a call to `Engine.advance` ended."""
+    """How a call to `Engine.advance` ended.
+
+    NON_FINITE: a position, velocity or director is NaN or infinite. OVERSTRETCHED: an element is shorter than
+    `MIN_DILATATION` or longer than `MAX_DILATATION` times its rest length. INVERTED: an element points against its d3.
+    TORN: two joined nodes are further apart than the radii of their rods reach, see `joint_reach`. ENERGY: more energy
+    came from nowhere than the ledger tolerates, see `energy.ENERGY_TOLERANCE`; looked for only with the energy check.
+    """
 
     OK = 0
     NON_FINITE = 1
     OVERSTRETCHED = 2
     INVERTED = 3
+    TORN = 4
+    ENERGY = 5
 
 
 @dataclass(frozen=True)
 class Health:
-    """Status, and where it shows: rod and element (-1 when all is well)."""
+    """Status, and where it shows: rod and element, and the joint where one is torn (-1 where there is none)."""
 
     status: Status = Status.OK
     rod: int = -1
     element: int = -1
+    joint: int = -1
 
     @property
     def ok(self) -> bool:
@@ -47,17 +61,43 @@ class Health:
         return self.status is Status.OK
 
     def __str__(self) -> str:
-        return "ok" if self.ok else f"{self.status.name.lower()} (rod {self.rod}, element {self.element})"
+        if self.ok:
+            return "ok"
+        joint = f", joint {self.joint}" if self.joint >= 0 else ""
+        return f"{self.status.name.lower()} (rod {self.rod}, element {self.element}{joint})"
+
+
+def joint_reach(model: RodModel) -> FloatArray:
+    """Gap at which each joint counts as torn [m], shape (n_joint,): its gap at rest and the radii of both rods.
+
+    Two rods that lie further apart than that have come off each other.
+    """
+    reach = np.zeros(len(model.joints))
+    for k, joint in enumerate(model.joints):
+        a, b = model.rods[joint.rod_a], model.rods[joint.rod_b]
+        gap = float(np.linalg.norm(a.position[joint.node_a] - b.position[joint.node_b]))
+        radii = (rod.radius[min(node, rod.n_elem - 1)] for rod, node in ((a, joint.node_a), (b, joint.node_b)))
+        reach[k] = gap + float(sum(radii))
+    return reach
+
+
+def torn(model: RodModel, joint: int) -> Health:
+    """Health that names a torn joint, by its first rod and the element at its node there."""
+    rod, node = model.joints[joint].rod_a, model.joints[joint].node_a
+    return Health(Status.TORN, rod, min(node, model.rods[rod].n_elem - 1), joint)
 
 
 class Engine(ABC):
     """Integrates one assembly with a fixed time step."""
 
-    def __init__(self, model: RodModel, dt: float) -> None:
-        if not (np.isfinite(dt) and dt > 0.0):
-            raise ValueError(f"dt = {dt}: must be positive and finite [s]")
+    def __init__(self, model: RodModel, dt: float, energy_check: bool = False) -> None:
+        if (step := finite_number(dt)) is None or step <= 0.0:
+            raise ValueError(f"dt = {shown(dt)}: must be positive and finite [s]")
         self.model = model
-        self.dt = float(dt)
+        self.dt = step
+        self._meter = EnergyMeter(model) if energy_check else None
+        self._before: tuple[RodState, StoredEnergy] | None = None
+        self._ledger: Ledger | None = None
 
     @property
     @abstractmethod
@@ -74,6 +114,12 @@ class Engine(ABC):
         """
         state.check(self.model)
         self._restore(state)
+        self._before = self._ledger = None
+
+    @property
+    def ledger(self) -> Ledger | None:
+        """Energy over the last call to `advance`; None before the first, after a failure, and without the check."""
+        return self._ledger
 
     def advance(self, tension: npt.ArrayLike, n_substeps: int) -> Health:
         """Advance by n_substeps * dt.
@@ -91,16 +137,32 @@ class Engine(ABC):
         ValueError
             Wrong shape, a tension that is negative or not finite, or no step.
         """
-        pull = np.asarray(tension, dtype=np.float64)
+        pull = real_array("tension", tension)
         if pull.shape not in ((self.model.n_muscle,), (2, self.model.n_muscle)):
             n = self.model.n_muscle
             raise ValueError(f"tension: shape must be ({n},) or (2, {n}), got {pull.shape}")
-        if not (np.isfinite(pull).all() and (pull >= 0.0).all()):
+        if (pull < 0.0).any():
             raise ValueError("tension: must be finite and not negative [N]")
-        if not isinstance(n_substeps, Integral) or isinstance(n_substeps, bool) or n_substeps < 1:
-            raise ValueError(f"n_substeps = {n_substeps!r}: must be a whole number, at least 1")
+        count = whole_number(n_substeps)
+        if count is None or not 1 <= count <= MAX_STEPS:
+            raise ValueError(f"n_substeps = {shown(n_substeps)}: must be a whole number, at least 1")
         start, end = (pull, pull) if pull.ndim == 1 else pull
-        return self._advance(start, end, int(n_substeps))
+        if self._meter is None:
+            return self._advance(start, end, count)
+        if self._before is None:
+            self._before = (state := self.state), self._meter.stored(state)
+        health = self._advance(start, end, count)
+        return self._audit(self._meter, *self._before) if health.ok else health
+
+    def _audit(self, meter: EnergyMeter, state: RodState, stored: StoredEnergy) -> Health:
+        """Draw up the ledger of a call that began with a state, and judge it."""
+        now, flow = self.state, self._flow()
+        held = meter.stored(now)
+        work = replace(flow, load_work=flow.load_work + meter.force_work(state, now))
+        self._before, self._ledger = (now, held), ledger(stored, held, work, meter.least)
+        if self._ledger.residual < -ENERGY_TOLERANCE * self._ledger.scale:
+            return Health(Status.ENERGY, *meter.most(held))
+        return Health()
 
     @abstractmethod
     def _restore(self, state: RodState) -> None: ...
@@ -108,21 +170,36 @@ class Engine(ABC):
     @abstractmethod
     def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health: ...
 
+    @abstractmethod
+    def _flow(self) -> Flow:
+        """Energy that entered and left since the last call; asked for only with the energy check."""
 
-def make_engine(name: EngineName, model: RodModel, dt: float) -> Engine:
-    """Engine by name. The choice costs its imports only when made.
+
+def make_engine(
+    name: EngineName,
+    model: RodModel,
+    dt: float,
+    splitting: Splitting = "pyelastica",
+    energy_check: bool = False,
+) -> Engine:
+    """Engine by name. The choice costs its imports only when made; the energy check costs nothing where it is off.
 
     Raises
     ------
     ValueError
-        An unknown name, or dt not positive and finite.
+        An unknown name or splitting, one that the engine lacks, or dt not positive and finite.
     """
+    for argument, value, choices in (("engine", name, EngineName), ("splitting", splitting, Splitting)):
+        if not isinstance(value, str) or value not in get_args(choices):
+            raise ValueError(f"{argument} = {shown(value)}: must be one of {', '.join(get_args(choices))}")
+    if not isinstance(energy_check, bool):
+        raise ValueError(f"energy_check = {shown(energy_check)}: must be True or False")
     if name == "fused":
         from lattice_gym.engines.fused import FusedEngine
 
-        return FusedEngine(model, dt)
-    if name == "pyelastica":
-        from lattice_gym.engines.pyelastica import PyElasticaEngine
+        return FusedEngine(model, dt, splitting, energy_check)
+    if splitting != "pyelastica":
+        raise ValueError(f"splitting = {splitting!r}: the pyelastica engine damps as PyElastica does; take fused")
+    from lattice_gym.engines.pyelastica import PyElasticaEngine
 
-        return PyElasticaEngine(model, dt)
-    raise ValueError(f"engine = {name!r}: must be one of {', '.join(get_args(EngineName))}")
+    return PyElasticaEngine(model, dt, energy_check)

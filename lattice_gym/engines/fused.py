@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lattice_gym.design import FloatArray, IntArray
-from lattice_gym.engines import MAX_DILATATION, MIN_DILATATION, Engine, Health, Status, kernels
-from lattice_gym.model import Rod, RodModel, RodState
+from lattice_gym.energy import Flow
+from lattice_gym.engines import (
+    MAX_DILATATION,
+    MIN_DILATATION,
+    Engine,
+    Health,
+    Splitting,
+    Status,
+    joint_reach,
+    kernels,
+    torn,
+)
+from lattice_gym.model import Joint, Line, Rod, RodModel, RodState
+
+_LARGEST_RATE = 300.0
 
 
 @dataclass(frozen=True)
@@ -48,10 +62,8 @@ def _place(model: RodModel) -> _Placement:
 
 def _fill_lane(cells: kernels.Cells, lane: int, rod: Rod, dt: float) -> None:
     """Write a rod's constants and rest shape into one lane of its records, shape (n_elem + 1,)."""
-    nodes, elements, voronoi = cells, cells[:-1], cells[:-2]
-    nodes["x"][:, :, lane] = rod.position
-    nodes["kick"][:, lane] = dt / rod.mass
-    nodes["keep"][:, lane] = np.exp(-rod.damping / rod.mass * dt)
+    elements, voronoi = cells[:-1], cells[:-2]
+    cells["x"][:, :, lane] = rod.position
     elements["q"][:, :, lane] = rod.directors.reshape(-1, 9)
     elements["rest"][:, lane] = rod.rest_length
     elements["inv_rest"][:, lane] = 1.0 / rod.rest_length
@@ -70,8 +82,11 @@ def _fill_lane(cells: kernels.Cells, lane: int, rod: Rod, dt: float) -> None:
 class FusedEngine(Engine):
     """All rods of equal element count side by side in lanes; see `kernels`."""
 
-    def __init__(self, model: RodModel, dt: float) -> None:
-        super().__init__(model, dt)
+    def __init__(
+        self, model: RodModel, dt: float, splitting: Splitting = "pyelastica", energy_check: bool = False
+    ) -> None:
+        super().__init__(model, dt, energy_check)
+        self._symmetric = 1.0 if splitting == "symmetric" else None
         place = self._place = _place(model)
         counts = np.array([rod.n_elem for rod in model.rods])
         self._node_lane = np.repeat(place.rod_lane, counts + 1)
@@ -80,14 +95,17 @@ class FusedEngine(Engine):
         self._element_cell = np.concatenate([c + np.arange(n) for c, n in zip(place.rod_cell, counts, strict=True)])
         self._cells = self._pack_rods()
         muscle = np.full(model.n_rod, -1)
-        muscle[list(model.muscles)] = np.arange(model.n_muscle)
+        muscle[list(model.muscles)] = np.arange(len(model.muscles))
         muscle_of = np.repeat(muscle, counts)
         pulled = muscle_of >= 0
         self._pull = self._element_cell[pulled], self._element_lane[pulled], muscle_of[pulled]
         self._joints, self._joint_damping = self._pack_joints()
+        self._lines = self._pack_lines()
+        self._reach = joint_reach(model)
         self._loads = self._pack_loads()
         self._couples = self._pack_torques()
         self._spin_damping = 1.0 if any(rod.rotational_damping > 0.0 for rod in model.rods) else None
+        self._account = self._open_account() if energy_check else None
         self._time = 0.0
 
     def _pack_rods(self) -> kernels.Cells:
@@ -98,25 +116,56 @@ class FusedEngine(Engine):
             for lane in range(kernels.LANES):
                 rod = self.model.rods[members[lane] if lane < len(members) else members[0]]
                 _fill_lane(cells[start:stop], lane, rod, self.dt)
+        mass, keep = self.model.node_mass, np.exp(-self.model.node_damping / self.model.node_mass * self.dt)
+        cells["keep"][self._node_cell, self._node_lane] = keep
+        cells["push"][self._node_cell, self._node_lane] = self.dt / mass * (np.sqrt(keep) if self._symmetric else keep)
+        if self._symmetric:
+            cells["spin_decay"] *= 0.5
         for clamp in self.model.clamps:
             lane = place.rod_lane[clamp.rod]
             if clamp.node is not None:
-                cells["keep"][place.cell(clamp.rod, clamp.node), lane] = 0.0
+                cell = place.cell(clamp.rod, clamp.node)
+                cells["keep"][cell, lane] = cells["push"][cell, lane] = 0.0
             if clamp.element is not None:
                 cells["free"][place.cell(clamp.rod, clamp.element), lane] = 0.0
         return cells
 
+    def _open_account(self) -> kernels.Account:
+        """Account with nothing in it: constants of every node and element by record and lane."""
+        mass, rate = self.model.node_mass, self.model.node_damping / self.model.node_mass * self.dt
+        half = 0.5 if self._symmetric else 1.0
+        loss, before, inertia, length = np.zeros((4, self._place.n_cell, kernels.LANES))
+        node, element = (self._node_cell, self._node_lane), (self._element_cell, self._element_lane)
+        # A rate this large leaves no speed worth counting; without the bound what it left would overflow.
+        loss[node] = 0.5 * mass * np.expm1(2.0 * half * np.minimum(rate, _LARGEST_RATE))
+        if self._symmetric:
+            before[node] = -0.5 * mass * np.expm1(-rate)
+        inertia[element] = np.concatenate([rod.inertia for rod in self.model.rods])
+        return kernels.Account(np.zeros(3), loss, before, inertia, length, np.zeros(len(self.model.lines)))
+
     def _pack_joints(self) -> tuple[kernels.Joints, FloatArray | None]:
-        place, joints = self._place, self.model.joints
-        packed = kernels.Joints(
-            np.array([place.cell(j.rod_a, j.node_a) for j in joints], np.int64),
-            np.array([place.rod_lane[j.rod_a] for j in joints], np.int64),
-            np.array([place.cell(j.rod_b, j.node_b) for j in joints], np.int64),
-            np.array([place.rod_lane[j.rod_b] for j in joints], np.int64),
-            np.array([j.stiffness for j in joints], np.float64),
-        )
+        joints = self.model.joints
         damping = np.array([j.damping for j in joints], np.float64)
+        packed = kernels.Joints(*self._pack_ends(joints), np.array([j.stiffness for j in joints], np.float64))
         return packed, damping if damping.any() else None
+
+    def _pack_lines(self) -> kernels.Lines | None:
+        lines = self.model.lines
+        if not lines:
+            return None
+        rest_length, stiffness = np.array([line.rest_length for line in lines]), np.array([x.stiffness for x in lines])
+        tension, rise = np.zeros((2, len(lines)))
+        return kernels.Lines(*self._pack_ends(lines), rest_length, stiffness, tension, rise)
+
+    def _pack_ends(self, ties: Sequence[Joint | Line]) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+        """Find records and lanes of the first and the second node of each tie."""
+        place = self._place
+        return (
+            np.array([place.cell(tie.rod_a, tie.node_a) for tie in ties], np.int64),
+            np.array([place.rod_lane[tie.rod_a] for tie in ties], np.int64),
+            np.array([place.cell(tie.rod_b, tie.node_b) for tie in ties], np.int64),
+            np.array([place.rod_lane[tie.rod_b] for tie in ties], np.int64),
+        )
 
     def _pack_loads(self) -> kernels.Loads | None:
         place, forces = self._place, self.model.forces
@@ -159,23 +208,48 @@ class FusedEngine(Engine):
         rise = (end - start) / n_substeps
         self._cells["tension"][cell, lane] = (start + 0.5 * rise)[muscle]
         self._cells["tension_rise"][cell, lane] = rise[muscle]
+        if self._lines is not None:
+            n_rod = len(self.model.muscles)
+            self._lines.tension[:] = (start + 0.5 * rise)[n_rod:]
+            self._lines.rise[:] = rise[n_rod:]
         kernels.advance(
             self._cells,
             self._place.passive,
             self._place.active,
             self._joints,
             self._joint_damping,
+            self._lines,
             self._loads,
             self._couples,
             self._spin_damping,
+            self._symmetric,
+            self._account,
             n_substeps,
             self.dt,
         )
         self._time += n_substeps * self.dt
-        code, element = kernels.inspect(
-            self._cells, self._element_cell, self._element_lane, MIN_DILATATION, MAX_DILATATION
+        return self._inspected()
+
+    def _flow(self) -> Flow:
+        """Return what the account holds, and empty it."""
+        assert self._account is not None
+        muscle_work, load_work, dissipated = self._account.total.tolist()
+        self._account.total[:] = 0.0
+        return Flow(muscle_work, load_work, dissipated)
+
+    def _inspected(self) -> Health:
+        code, found = kernels.inspect(
+            self._cells,
+            self._element_cell,
+            self._element_lane,
+            MIN_DILATATION,
+            MAX_DILATATION,
+            self._joints,
+            self._reach,
         )
         if code == Status.OK:
             return Health()
-        rod = int(np.searchsorted(self.model.element_offset, element, side="right")) - 1
-        return Health(Status(code), rod, element - int(self.model.element_offset[rod]))
+        if code == Status.TORN:
+            return torn(self.model, found)
+        rod = int(np.searchsorted(self.model.element_offset, found, side="right")) - 1
+        return Health(Status(code), rod, found - int(self.model.element_offset[rod]))

@@ -27,7 +27,7 @@ LANES = 16
 
 _PER_LANE: dict[str, int] = {
     # node
-    "x": 3, "v": 3, "force": 3, "kick": 1, "keep": 1,
+    "x": 3, "v": 3, "force": 3, "push": 1, "keep": 1,
     # element
     "q": 9, "w": 3, "rest": 1, "inv_rest": 1, "shear": 1, "stretch": 1, "rest_sigma": 3, "spin_kick": 1, "free": 1,
     # Voronoi region
@@ -54,12 +54,45 @@ class Joints(NamedTuple):
     stiffness: npt.NDArray[np.float64]
 
 
+class Lines(NamedTuple):
+    """Massless muscles between two nodes, as `Joints`, each of shape (n_line,): rest length [m], E A [N], tension [N].
+
+    The tension is advanced in place by its rise at every step.
+    """
+
+    cell_a: npt.NDArray[np.int64]
+    lane_a: npt.NDArray[np.int64]
+    cell_b: npt.NDArray[np.int64]
+    lane_b: npt.NDArray[np.int64]
+    rest_length: npt.NDArray[np.float64]
+    stiffness: npt.NDArray[np.float64]
+    tension: npt.NDArray[np.float64]
+    rise: npt.NDArray[np.float64]
+
+
 class Loads(NamedTuple):
     """Constant point forces: record and lane (n_load,), force [N] (n_load, 3) in the laboratory frame."""
 
     cell: npt.NDArray[np.int64]
     lane: npt.NDArray[np.int64]
     force: npt.NDArray[np.float64]
+
+
+class Account(NamedTuple):
+    """Energy that enters and leaves, added up step by step for whoever asks; see `_account`.
+
+    `total` is the work of the muscles and of torques, and what was dissipated [J], shape (3,). By record and lane,
+    shape (n_cell, LANES): the share of a node's squared speed that damping took to leave it (`loss`) and takes before a
+    kick (`loss_before`) [kg], the inertia of an element [kg m^2], and lengths of muscles at the step before [m]. `line`
+    are those of the lines [m], shape (n_line,).
+    """
+
+    total: npt.NDArray[np.float64]
+    loss: npt.NDArray[np.float64]
+    loss_before: npt.NDArray[np.float64]
+    inertia: npt.NDArray[np.float64]
+    length: npt.NDArray[np.float64]
+    line: npt.NDArray[np.float64]
 
 
 def compiled(function: Function) -> Function:
@@ -81,6 +114,8 @@ _LARGE_Y = 0.09
 # sin(t)/t and (1 - cos t)/t^2 as series in t^2: eight terms are exact to rounding for t^2 < 0.25.
 _LARGE_T2 = 0.25
 _LARGE_DECAY = 0.25
+# Spin damped to less than this share within a step is too slow to count; the bound keeps 1 / keep^4 finite.
+_LEAST_KEEP = 1e-140
 
 
 @compiled
@@ -199,19 +234,21 @@ def _large_half_angle(pair: Cells) -> None:
 @compiled
 def _move_node(here: Any, drift: float) -> None:
     """Kick, damp and drift node n, and clear its force for the next step."""
-    x, v, force, kick, keep = here.x, here.v, here.force, here.kick, here.keep
+    x, v, force, push, keep = here.x, here.v, here.force, here.push, here.keep
     for j in range(LANES):
-        u = (v[0, j] + force[0, j] * kick[j]) * keep[j]
+        u = v[0, j] * keep[j] + force[0, j] * push[j]
         v[0, j], x[0, j], force[0, j] = u, x[0, j] + drift * u, 0.0
-        u = (v[1, j] + force[1, j] * kick[j]) * keep[j]
+        u = v[1, j] * keep[j] + force[1, j] * push[j]
         v[1, j], x[1, j], force[1, j] = u, x[1, j] + drift * u, 0.0
-        u = (v[2, j] + force[2, j] * kick[j]) * keep[j]
+        u = v[2, j] * keep[j] + force[2, j] * push[j]
         v[2, j], x[2, j], force[2, j] = u, x[2, j] + drift * u, 0.0
 
 
 @compiled
-def _spin_element(here: Any, dt: float, spin_damping: float | None) -> None:
+def _spin_element(here: Any, dt: float, spin_damping: float | None, symmetric: float | None) -> None:
     """Kick and damp the angular velocity of element e; J3 = 2 J1 turns J^-1 [(J w) x w] into (-w1 w2, w0 w2, 0)."""
+    if spin_damping is not None and symmetric is not None:
+        _damp_spin(here)
     w, torque, rate = here.w, here.torque, here.stretch_rate
     dilatation, spin_kick, free = here.dilatation, here.spin_kick, here.free
     for j in range(LANES):
@@ -330,6 +367,7 @@ def _step_blocks(
     tension: float | None,
     couples: float | None,
     spin_damping: float | None,
+    symmetric: float | None,
 ) -> None:
     """Advance every block by one kick and one drift in a single pass over its records.
 
@@ -345,10 +383,10 @@ def _step_blocks(
             _stress(rods[e + 1 : e + 3], tension, couples)
             _move_node(rods[e + 1], drift)
             _couple(rods[e : e + 2])
-            _spin_element(rods[e], dt, spin_damping)
+            _spin_element(rods[e], dt, spin_damping, symmetric)
             _rotate_element(rods[e], drift)
         _move_node(rods[last + 1], drift)
-        _spin_element(rods[last], dt, spin_damping)
+        _spin_element(rods[last], dt, spin_damping, symmetric)
         _rotate_element(rods[last], drift)
 
 
@@ -366,15 +404,35 @@ def _apply_joints(cells: Cells, joints: Joints, damping: npt.NDArray[np.float64]
 
 
 @compiled
+def _apply_lines(cells: Cells, lines: Lines) -> None:
+    """Pull each line's two nodes together by its tension and by E A (e - 1) / e, the force of a stretched rod."""
+    for n in range(lines.cell_a.shape[0]):
+        a, b, la, lb = cells[lines.cell_a[n]], cells[lines.cell_b[n]], lines.lane_a[n], lines.lane_b[n]
+        dx, dy, dz = b.x[0, lb] - a.x[0, la], b.x[1, lb] - a.x[1, la], b.x[2, lb] - a.x[2, la]
+        inverse = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+        pull = (lines.tension[n] + lines.stiffness[n] * (1.0 - lines.rest_length[n] * inverse)) * inverse
+        a.force[0, la] += pull * dx
+        a.force[1, la] += pull * dy
+        a.force[2, la] += pull * dz
+        b.force[0, lb] -= pull * dx
+        b.force[1, lb] -= pull * dy
+        b.force[2, lb] -= pull * dz
+        lines.tension[n] += lines.rise[n]
+
+
+@compiled
 def advance(
     cells: Cells,
     passive: npt.NDArray[np.int64],
     active: npt.NDArray[np.int64],
     joints: Joints,
     joint_damping: npt.NDArray[np.float64] | None,
+    lines: Lines | None,
     loads: Loads | None,
     couples: float | None,
     spin_damping: float | None,
+    symmetric: float | None,
+    account: Account | None,
     n_steps: int,
     dt: float,
 ) -> None:
@@ -382,17 +440,159 @@ def advance(
 
     `passive` and `active` (muscle) blocks are rows (first record, one past the last). What is None is compiled away.
     """
+    if account is not None:
+        _open_account(cells, active, account)
+        if lines is not None:
+            _line_work(cells, lines, account, 0.0)
     _half_drift(cells, passive, 0.5 * dt)
     _half_drift(cells, active, 0.5 * dt)
     for step in range(n_steps):
         drift = dt if step < n_steps - 1 else 0.5 * dt
         _apply_joints(cells, joints, joint_damping)
+        if lines is not None:
+            _apply_lines(cells, lines)
+            if account is not None:
+                _line_work(cells, lines, account, 1.25 if step == 0 else 1.5)
         if loads is not None:
             for k in range(loads.cell.shape[0]):
                 for i in range(3):
                     cells[loads.cell[k]].force[i, loads.lane[k]] += loads.force[k, i]
-        _step_blocks(cells, passive, dt, drift, None, couples, spin_damping)
-        _step_blocks(cells, active, dt, drift, 1.0, couples, spin_damping)
+        _step_blocks(cells, passive, dt, drift, None, couples, spin_damping, symmetric)
+        _step_blocks(cells, active, dt, drift, 1.0, couples, spin_damping, symmetric)
+        if account is not None:
+            _account(cells, passive, account, None, couples, spin_damping, symmetric, 0.0, dt)
+            _account(cells, active, account, 1.0, couples, spin_damping, symmetric, 1.25 if step == 0 else 1.5, dt)
+            if joint_damping is not None:
+                _joint_loss(cells, joints, joint_damping, account, dt)
+    if account is not None:
+        _close_account(cells, active, account)
+        if lines is not None:
+            _line_work(cells, lines, account, 0.75)
+
+
+@compiled
+def _length(pair: Cells, j: int) -> float:
+    """Length of element e of lane j as its nodes stand."""
+    square = 0.0
+    for i in range(3):
+        side = pair[1].x[i, j] - pair[0].x[i, j]
+        square += side * side
+    return float(np.sqrt(square))
+
+
+@compiled
+def _account(
+    cells: Cells,
+    block: npt.NDArray[np.int64],
+    account: Account,
+    tension: float | None,
+    couples: float | None,
+    spin_damping: float | None,
+    symmetric: float | None,
+    ago: float,
+    dt: float,
+) -> None:
+    """Add what the step just taken did: muscle work, work of torques, dissipation.
+
+    Muscles work by the trapezoid rule on their lengths at the kicks: half of either tension times the shortening, where
+    the mean tension is `ago` rises before the one that comes next. Damping took from a node that moves with u now
+    m (1/keep^2 - 1) u^2 / 2, and from a spin likewise.
+    """
+    work, twist, lost = 0.0, 0.0, 0.0
+    for b in range(block.shape[0]):
+        first, last = block[b, 0], block[b, 1] - 1
+        for n in range(first, last + 1):
+            v, loss, before = cells[n].v, account.loss[n], account.loss_before[n]
+            for j in range(LANES):
+                lost += (loss[j] + before[j]) * (v[0, j] * v[0, j] + v[1, j] * v[1, j] + v[2, j] * v[2, j])
+        for n in range(first, last):
+            here = cells[n]
+            if tension is not None:
+                pull, rise, length, previous = here.tension, here.tension_rise, here.length, account.length[n]
+                for j in range(LANES):
+                    work += (pull[j] - ago * rise[j]) * (previous[j] - length[j])
+                    previous[j] = length[j]
+            if couples is not None:
+                w, couple = here.w, here.couple
+                for j in range(LANES):
+                    twist += dt * (couple[0, j] * w[0, j] + couple[1, j] * w[1, j] + couple[2, j] * w[2, j])
+            if spin_damping is not None:
+                w, keep, dilatation, inertia = here.w, here.spin_keep, here.dilatation, account.inertia[n]
+                for j in range(LANES):
+                    square = max(keep[j] * keep[j], _LEAST_KEEP)
+                    across, along = 1.0 / (square * square) - 1.0, 1.0 / square - 1.0
+                    if symmetric is not None:
+                        across, along = across + 1.0 - square * square, along + 1.0 - square
+                    across *= w[0, j] * w[0, j] + w[1, j] * w[1, j]
+                    lost += 0.5 * inertia[j] / dilatation[j] * (across + 2.0 * along * w[2, j] * w[2, j])
+    account.total[0] += work
+    account.total[1] += twist
+    account.total[2] += lost
+
+
+@compiled
+def _open_account(cells: Cells, active: npt.NDArray[np.int64], account: Account) -> None:
+    """Note the muscles' lengths, and what the first damping before a kick takes."""
+    for b in range(active.shape[0]):
+        for n in range(active[b, 0], active[b, 1] - 1):
+            for j in range(LANES):
+                account.length[n, j] = _length(cells[n : n + 2], j)
+    account.total[2] += _early_loss(cells, account)
+
+
+@compiled
+def _close_account(cells: Cells, active: npt.NDArray[np.int64], account: Account) -> None:
+    """Add the muscles' work over the last half drift; give back what no damping before a kick took any more."""
+    work = 0.0
+    for b in range(active.shape[0]):
+        for n in range(active[b, 0], active[b, 1] - 1):
+            for j in range(LANES):
+                pull = cells[n].tension[j] - 0.75 * cells[n].tension_rise[j]
+                work += pull * (account.length[n, j] - _length(cells[n : n + 2], j))
+    account.total[0] += work
+    account.total[2] -= _early_loss(cells, account)
+
+
+@compiled
+def _early_loss(cells: Cells, account: Account) -> float:
+    """Energy that the half damping before a kick takes from all nodes as they move now."""
+    lost = 0.0
+    for n in range(cells.shape[0]):
+        for j in range(LANES):
+            v = cells[n].v
+            square = v[0, j] * v[0, j] + v[1, j] * v[1, j] + v[2, j] * v[2, j]
+            lost += account.loss_before[n, j] * square
+    return lost
+
+
+@compiled
+def _line_work(cells: Cells, lines: Lines, account: Account, ago: float) -> None:
+    """Add the work of the lines since the lengths noted last, as `_account` does, and note their lengths now.
+
+    0 for `ago` only notes them.
+    """
+    for n in range(lines.cell_a.shape[0]):
+        a, b, la, lb = cells[lines.cell_a[n]], cells[lines.cell_b[n]], lines.lane_a[n], lines.lane_b[n]
+        square = 0.0
+        for i in range(3):
+            side = b.x[i, lb] - a.x[i, la]
+            square += side * side
+        length = np.sqrt(square)
+        if ago > 0.0:
+            account.total[0] += (lines.tension[n] - ago * lines.rise[n]) * (account.line[n] - length)
+        account.line[n] = length
+
+
+@compiled
+def _joint_loss(cells: Cells, joints: Joints, damping: npt.NDArray[np.float64], account: Account, dt: float) -> None:
+    """Add what the joints' dashpots took."""
+    lost = 0.0
+    for n in range(joints.cell_a.shape[0]):
+        a, b, la, lb = cells[joints.cell_a[n]], cells[joints.cell_b[n]], joints.lane_a[n], joints.lane_b[n]
+        for i in range(3):
+            rate = b.v[i, lb] - a.v[i, la]
+            lost += damping[n] * rate * rate
+    account.total[2] += dt * lost
 
 
 @compiled_strictly
@@ -402,8 +602,13 @@ def inspect(
     lane: npt.NDArray[np.int64],
     min_dilatation: float,
     max_dilatation: float,
+    joints: Joints,
+    reach: npt.NDArray[np.float64],
 ) -> tuple[int, int]:
-    """Status code (as `engines.Status`) and the first element at fault, or (0, -1); cell and lane of each element."""
+    """Status code (as `engines.Status`) and the first element or joint at fault, or (0, -1).
+
+    `cell` and `lane` are those of each element, `reach` is the gap at which each joint counts as torn [m].
+    """
     for e in range(cell.shape[0]):
         here, there, j = cells[cell[e]], cells[cell[e] + 1], lane[e]
         square, along, sum_ = 0.0, 0.0, 0.0
@@ -421,4 +626,12 @@ def inspect(
             return 2, e
         if along <= 0.0:
             return 3, e
+    for n in range(joints.cell_a.shape[0]):
+        a, b, la, lb = cells[joints.cell_a[n]], cells[joints.cell_b[n]], joints.lane_a[n], joints.lane_b[n]
+        square = 0.0
+        for i in range(3):
+            gap = b.x[i, lb] - a.x[i, la]
+            square += gap * gap
+        if not square <= reach[n] * reach[n]:
+            return 4, n
     return 0, -1

@@ -6,13 +6,13 @@ It calls none of the compiled laws of the fused engine; rest strains and curvatu
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from elastica.boundary_conditions import FixedConstraint
 from elastica.dissipation import AnalyticalLinearDamper
 from elastica.external_forces import NoForces
-from elastica.joint import FreeJoint
+from elastica.joint import ConnectionBase, FreeJoint
 from elastica.modules.base_system import BaseSystemCollection
 from elastica.modules.connections import Connections
 from elastica.modules.constraints import Constraints
@@ -20,9 +20,11 @@ from elastica.modules.damping import Damping
 from elastica.modules.forcing import Forcing
 from elastica.rod.cosserat_rod import CosseratRod
 from elastica.timestepper.symplectic_steppers import PositionVerlet
+from elastica.typing import ConnectionIndex, RigidBodyType, RodType
 
 from lattice_gym.design import FloatArray
-from lattice_gym.engines import MAX_DILATATION, MIN_DILATATION, Engine, Health, Status
+from lattice_gym.energy import Flow
+from lattice_gym.engines import MAX_DILATATION, MIN_DILATATION, Engine, Health, Status, joint_reach, torn
 from lattice_gym.model import Rod, RodModel, RodState
 
 _START = np.float64(0.0)
@@ -48,6 +50,53 @@ class _Contraction(NoForces[CosseratRod]):
         system.external_forces[:, 1:] -= pull
 
 
+class _LineMuscle(ConnectionBase[CosseratRod]):
+    """Tension and stretch of a massless muscle between two nodes; `tension` as in `_Contraction`."""
+
+    def __init__(self, rest_length: float, stiffness: float, tension: FloatArray) -> None:
+        self.rest_length = rest_length
+        self.stiffness = stiffness
+        self.tension = tension
+
+    def apply_forces(
+        self,
+        system_one: RodType | RigidBodyType,
+        index_one: ConnectionIndex,
+        system_two: RodType | RigidBodyType,
+        index_two: ConnectionIndex,
+        time: np.float64 = _START,
+    ) -> None:
+        side = system_two.position_collection[:, index_two] - system_one.position_collection[:, index_one]
+        length = np.linalg.norm(side)
+        dilatation = length / self.rest_length
+        force = (self.tension[0] + self.stiffness * (dilatation - 1.0) / dilatation) * side / length
+        system_one.external_forces[:, index_one] += force
+        system_two.external_forces[:, index_two] -= force
+
+    def apply_torques(
+        self,
+        system_one: RodType | RigidBodyType,
+        index_one: ConnectionIndex,
+        system_two: RodType | RigidBodyType,
+        index_two: ConnectionIndex,
+        time: np.float64 = _START,
+    ) -> None:
+        """Turn nothing: the force goes through the nodes."""
+
+
+class _NodeDamper(AnalyticalLinearDamper):
+    """PyElastica's damper with a constant for each node [N s/m], shape (n_node,), where lines add to the rod's own."""
+
+    def __init__(self, node_damping: FloatArray, rotational_damping: float, time_step: float, **kwargs: Any) -> None:
+        super().__init__(
+            translational_damping_constant=0.0,
+            rotational_damping_constant=rotational_damping,
+            time_step=np.float64(time_step),
+            **kwargs,
+        )
+        self._translational_damping_coefficient = np.exp(-node_damping / self.system.mass * time_step)
+
+
 class _PointLoads(NoForces[CosseratRod]):
     """Constant forces on nodes (laboratory frame) and torques on elements (material frame) of one rod."""
 
@@ -64,7 +113,7 @@ class _PointLoads(NoForces[CosseratRod]):
 
 
 def _make_rod(rod: Rod) -> CosseratRod:
-    """Rod in PyElastica's arrays (components first), free of stress in its rest shape."""
+    """Rod in PyElastica's arrays (components first), free of stress in its shape or of its natural curvature."""
     made = CosseratRod.straight_rod(
         rod.n_elem,
         rod.position[0].copy(),
@@ -79,19 +128,23 @@ def _make_rod(rod: Rod) -> CosseratRod:
         directors=np.moveaxis(rod.directors, 0, -1).copy(),
     )
     made.rest_sigma[:] = made.sigma
-    made.rest_kappa[:] = made.kappa
+    made.rest_kappa[:] = made.kappa if rod.natural_curvature is None else rod.natural_curvature.T
     return made
 
 
 class PyElasticaEngine(Engine):
     """PyElastica 1.0.0 behind the engine interface."""
 
-    def __init__(self, model: RodModel, dt: float) -> None:
-        super().__init__(model, dt)
+    def __init__(self, model: RodModel, dt: float, energy_check: bool = False) -> None:
+        super().__init__(model, dt, energy_check)
         self._rods = [_make_rod(rod) for rod in model.rods]
+        for index, rod in enumerate(self._rods):
+            rod.mass[:] = model.node_mass[model.nodes(index)]
         self._tension = np.zeros((model.n_muscle, 1))
         self._stepper = PositionVerlet()
         self._simulator = self._assemble()
+        self._reach = joint_reach(model)
+        self._gone = np.zeros(3)
         self._time = 0.0
 
     def _assemble(self) -> _Assembly:
@@ -103,6 +156,10 @@ class PyElasticaEngine(Engine):
             )
         for k, index in enumerate(model.muscles):
             simulator.add_forcing_to(rods[index]).using(_Contraction, self._tension[k])
+        for line, tension in zip(model.lines, self._tension[len(model.muscles) :], strict=True):
+            simulator.connect(rods[line.rod_a], rods[line.rod_b], line.node_a, line.node_b).using(
+                _LineMuscle, line.rest_length, line.stiffness, tension
+            )
         for index, (forces, torques) in self._point_loads().items():
             simulator.add_forcing_to(rods[index]).using(_PointLoads, forces, torques)
         nodes, elements = defaultdict(list), defaultdict(list)
@@ -117,14 +174,10 @@ class PyElasticaEngine(Engine):
                 constrained_position_idx=tuple(nodes[index]),
                 constrained_director_idx=tuple(elements[index]),
             )
-        for rod, made in zip(model.rods, rods, strict=True):
-            if rod.damping > 0.0 or rod.rotational_damping > 0.0:
-                simulator.dampen(made).using(
-                    AnalyticalLinearDamper,
-                    translational_damping_constant=rod.damping,
-                    rotational_damping_constant=rod.rotational_damping,
-                    time_step=self.dt,
-                )
+        for index, (rod, made) in enumerate(zip(model.rods, rods, strict=True)):
+            node_damping = model.node_damping[model.nodes(index)]
+            if node_damping.any() or rod.rotational_damping > 0.0:
+                simulator.dampen(made).using(_NodeDamper, node_damping, rod.rotational_damping, time_step=self.dt)
         simulator.finalize()
         return simulator
 
@@ -172,9 +225,56 @@ class PyElasticaEngine(Engine):
         with np.errstate(all="ignore"):
             for step in range(n_substeps):
                 self._tension[:, 0] = start + (end - start) * ((step + 0.5) / n_substeps)
+                before = None if self._meter is None else self._muscle_length()
                 self._stepper.step(self._simulator, self._time, self.dt)
                 self._time += self.dt
+                if before is not None:
+                    shortened = before - self._muscle_length()
+                    work = float(self._tension[:, 0] @ shortened)
+                    self._gone += np.array([work, self._torque_work(), self._loss()])
         return self._health()
+
+    def _flow(self) -> Flow:
+        flow = Flow(*self._gone.tolist())
+        self._gone[:] = 0.0
+        return flow
+
+    def _muscle_length(self) -> FloatArray:
+        """Length of every muscle as its nodes stand [m], shape (n_muscle,)."""
+        rods = [np.linalg.norm(np.diff(self._rods[i].position_collection), axis=0).sum() for i in self.model.muscles]
+        lines = [
+            np.linalg.norm(
+                self._rods[line.rod_b].position_collection[:, line.node_b]
+                - self._rods[line.rod_a].position_collection[:, line.node_a]
+            )
+            for line in self.model.lines
+        ]
+        return np.array([*rods, *lines])
+
+    def _torque_work(self) -> float:
+        """Work of the point torques over the step just taken [J]."""
+        spin = (self._rods[load.rod].omega_collection[:, load.element] @ load.torque for load in self.model.torques)
+        return float(sum(spin)) * self.dt
+
+    def _loss(self) -> float:
+        """Energy that damping took in the step just taken [J], from what it left."""
+        lost = 0.0
+        for index, (rod, made) in enumerate(zip(self.model.rods, self._rods, strict=True)):
+            nodes = self.model.nodes(index)
+            mass, damping = self.model.node_mass[nodes], self.model.node_damping[nodes]
+            speed = (made.velocity_collection**2).sum(axis=0)
+            lost += float(0.5 * mass * np.expm1(2.0 * self.dt * damping / mass) @ speed)
+            rate = 2.0 * self.dt * rod.rotational_damping / rod.inertia * made.dilatation
+            spin = made.omega_collection**2
+            share = np.expm1(rate) * (spin[0] + spin[1]) + 2.0 * np.expm1(0.5 * rate) * spin[2]
+            lost += float(0.5 * rod.inertia / made.dilatation @ share)
+        for joint in self.model.joints:
+            rate = (
+                self._rods[joint.rod_b].velocity_collection[:, joint.node_b]
+                - self._rods[joint.rod_a].velocity_collection[:, joint.node_a]
+            )
+            lost += self.dt * joint.damping * float(rate @ rate)
+        return lost
 
     def _health(self) -> Health:
         """Status of the first rod and element found at fault."""
@@ -193,4 +293,9 @@ class PyElasticaEngine(Engine):
             if status.any():
                 element = int(np.argmax(status != Status.OK))
                 return Health(Status(int(status[element])), index, element)
+        for k, joint in enumerate(self.model.joints):
+            a = self._rods[joint.rod_a].position_collection[:, joint.node_a]
+            b = self._rods[joint.rod_b].position_collection[:, joint.node_b]
+            if not np.linalg.norm(b - a) <= self._reach[k]:
+                return torn(self.model, k)
         return Health()

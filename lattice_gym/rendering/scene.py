@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from lattice_gym.design import FloatArray
 from lattice_gym.lattice import Lattice
-from lattice_gym.model import RodModel
+from lattice_gym.model import RodModel, straight_rod
 from lattice_gym.rendering import colours
 from lattice_gym.rendering.colours import activation_colour, rgb
 from lattice_gym.rendering.extras import extra
@@ -27,6 +27,8 @@ RGB = npt.NDArray[np.uint8]
 ROD_SCALE, MUSCLE_SCALE, SITE_SCALE = 0.42, 0.56, 0.56
 # Pieces that each is drawn in at least, and the share of its radius that a muscle loses towards its ends.
 ROD_PIECES, MUSCLE_PIECES, TAPER = 32, 8, 0.45
+# Elements that a muscle without nodes is drawn with.
+LINE_ELEMENTS = 2
 # What lies furthest back is paled by this share, as by haze.
 HAZE = 0.6
 MATERIAL = {"ambient": 0.35, "diffuse": 0.75, "specular": 0.1, "specular_power": 25}
@@ -70,6 +72,27 @@ def _has_osmesa() -> bool:
             ctypes.CDLL(name)
             return True
     return False
+
+
+def _line_nodes(model: RodModel, position: FloatArray) -> FloatArray:
+    """Nodes [m] of straight rods that stand for the lines of a model, one after another, shape (n, 3)."""
+    offset = model.node_offset
+    start = position[[offset[line.rod_a] + line.node_a for line in model.lines]]
+    end = position[[offset[line.rod_b] + line.node_b for line in model.lines]]
+    share = np.linspace(0.0, 1.0, LINE_ELEMENTS + 1)[:, None]
+    return np.reshape(start[:, None] + share * (end - start)[:, None], (-1, 3))
+
+
+def _drawn_lines(model: RodModel, radius: float) -> RodModel | None:
+    """Rods to draw in place of the lines of a model, at rest; None where it has none."""
+    nodes = _line_nodes(model, model.rest_state().position) if model.lines else np.empty((0, 3))
+    rods = tuple(
+        straight_rod(
+            ends[0], ends[-1], LINE_ELEMENTS, radius=radius, density=1.0, youngs_modulus=1.0, shear_modulus=1.0
+        )
+        for ends in nodes.reshape(-1, LINE_ELEMENTS + 1, 3)
+    )
+    return RodModel(rods=rods) if rods else None
 
 
 def checked(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
@@ -119,14 +142,17 @@ class Renderer:
         self.size, self._model = size, model
         self._plotter = _plotter([SUPERSAMPLE * pixels for pixels in size])
         muscles = set(model.muscles)
-        self._rods = Tubes(model, [rod for rod in range(model.n_rod) if rod not in muscles], ROD_SCALE, ROD_PIECES, 0.0)
+        structure = [rod for rod in range(model.n_rod) if rod not in muscles]
+        lines = _drawn_lines(model, lattice.design.muscle_radius)
+        self._rods = Tubes(model, structure, ROD_SCALE, ROD_PIECES, 0.0)
         self._balls = Balls(lattice.n_site, SITE_SCALE * lattice.design.structure_radius)
         self._muscles = Tubes(model, model.muscles, MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if muscles else None
+        self._lines = Tubes(lines, range(lines.n_rod), MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if lines else None
         self._site_nodes = lattice.site_rod * lattice.n_node + lattice.site_node
         for part in self._parts():
             actor = self._plotter.add_mesh(part.mesh, scalars="colour", rgb=True, smooth_shading=False, **MATERIAL)
             actor.prop.interpolation = "Phong"
-        self._bare, self._colour_bar = bare, bool(muscles) and not bare
+        self._bare, self._colour_bar = bare, model.n_muscle > 0 and not bare
         if self._colour_bar:
             self._write("activation", 0.5 * (BAR[0] + BAR[1]), BAR[3] + 0.03, 0.03, ("center", "bottom"))
             for value in (0.0, 0.5, 1.0):
@@ -163,7 +189,10 @@ class Renderer:
         self._paint(self._balls.mesh, rgb(colours.SITE))
         if self._muscles:
             self._muscles.update(x)
-            self._paint(self._muscles.mesh, activation_colour(a))
+            self._paint(self._muscles.mesh, activation_colour(a[: len(self._model.muscles)]))
+        if self._lines:
+            self._lines.update(_line_nodes(self._model, x))
+            self._paint(self._lines.mesh, activation_colour(a[len(self._model.muscles) :]))
         if not self._bare:
             self._time.input = "" if time is None else f"t = {time:.2f} s"
             # A letter is about half as wide as it is high.
@@ -183,7 +212,7 @@ class Renderer:
         self.close()
 
     def _parts(self) -> list[Tubes | Balls]:
-        return [part for part in (self._rods, self._balls, self._muscles) if part]
+        return [part for part in (self._rods, self._balls, self._muscles, self._lines) if part]
 
     def _write(self, text: str, x: float, y: float, size: float, justified: tuple[str, str]) -> Any:
         """Text at a place and of a size in shares of the picture; it may be changed later."""

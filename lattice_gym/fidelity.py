@@ -1,0 +1,48 @@
+"""Named trades between error and run time: how fine the mesh is, and how velocities are damped.
+
+`python -m lattice_gym.reports work-precision` measured them; `LatticeWormEnv` says what came out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+from lattice_gym.design import LatticeDesign
+from lattice_gym.engines import Splitting
+
+FidelityName = Literal["fast", "default", "fine"]
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """What a fidelity sets."""
+
+    elements_per_segment: int | None
+    """None: as the design says."""
+    splitting: Splitting
+
+    def refine(self, design: LatticeDesign) -> LatticeDesign:
+        """Design on this fidelity's mesh, with the damping per length that it has on its own."""
+        if self.elements_per_segment in (None, design.elements_per_segment):
+            return design
+        return replace(
+            design,
+            elements_per_segment=self.elements_per_segment,
+            damping_mesh=design.damping_mesh or design.elements_per_segment,
+        )
+
+
+FIDELITIES: dict[FidelityName, Fidelity] = {
+    "fast": Fidelity(2, "symmetric"),
+    "default": Fidelity(None, "pyelastica"),
+    "fine": Fidelity(16, "symmetric"),
+}
+"""Every fidelity by name."""
+
+
+def named_fidelity(name: FidelityName) -> Fidelity:
+    """Fidelity by name; an unknown one is a ValueError."""
+    if not isinstance(name, str) or name not in FIDELITIES:
+        raise ValueError(f"fidelity = {name!r}: must be one of {', '.join(get_args(FidelityName))}")
+    return FIDELITIES[name]

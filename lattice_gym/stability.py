@@ -1,0 +1,292 @@
+"""The largest stable time step of an assembly, predicted from its forces around rest.
+
+Around rest the forces are linear: M x'' = -K x - C x', with the dampers of nodes and elements apart. A step that flips
+the sign of a motion y, x_n = (-1)^n y, is the largest that the scheme bears. In position Verlet with a damper that
+keeps the share D = exp(-c dt / m) of a velocity and dashpots C that see the velocity before the kick, that is
+(dt^2 K + 2 dt C) y = 2 M (1/D + 1) y; with the damper split into two halves, 2 M (1/sqrt(D) + sqrt(D)) y. All matrices
+are symmetric, so the largest eigenvalue decides for the whole assembly. It is found by Lanczos' iteration.
+
+Left out is what forces around rest do not show: kinks of a right angle between elements, and elements that spin about
+their rod. PyElastica's step takes the gyroscopic term from before the kick, which feeds the spin of slender, hardly
+damped elements on a coarse mesh: the stability report has one such case, stable only at 2/5 of the prediction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lattice_gym.design import FloatArray, IntArray
+from lattice_gym.engines import MIN_DILATATION, Splitting
+from lattice_gym.model import Joint, Line, RodModel, rotation_between
+
+SAFETY = 0.8
+"""Share of the computed limit that `stable_dt` gives. Chosen on the report's grid and its random designs of seed 0."""
+
+DT_MARGIN = 0.65
+"""Share of the predicted stable step that `default_dt` may use."""
+
+OVERSHOOT = 1.5
+"""Load on what a muscle shortens, over its tension: what is pulled swings past its balance. Chosen so that the muscles
+of an undamped default worm under random commands, which shorten to 0.72 and not to 0.80, stay within it."""
+
+LEAST_CONTRACTION = 0.5
+"""Length over rest length below which no rod but a muscle is taken to go. An assumption, no bound: among 89 random
+designs one went lower, to 0.42."""
+
+N_LANCZOS = 80
+"""Steps of Lanczos' iteration: from a random start the largest of n eigenvalues is then expected to within
+0.103 (ln n / 79)^2, 0.15 % for a hundred thousand (Kuczynski and Wozniakowski 1992, SIAM J. Matrix Anal. Appl. 13)."""
+
+_MAX_ROUNDS = 100
+_ROUND_TOLERANCE = 2e-3
+_MAX_EXPONENT = 500.0
+_FROZEN = 50.0
+
+
+def stable_dt(model: RodModel, max_tension: float = 0.0, splitting: Splitting = "pyelastica") -> float:
+    """Predict the largest stable step of an assembly [s]; infinite where its dampers hold every step.
+
+    Parameters
+    ----------
+    model
+        Any assembly.
+    max_tension
+        Largest tension of a muscle [N]: stretch, shear and bending all stiffen as elements shorten, see `contraction`.
+    splitting
+        When velocities are damped, see `engines`.
+
+    Raises
+    ------
+    ValueError
+        A tension that is negative or not finite.
+    """
+    if not (math.isfinite(max_tension) and max_tension >= 0.0):
+        raise ValueError(f"max_tension = {max_tension!r}: must be finite and not negative [N]")
+    return SAFETY * _Linear(model, max_tension).largest_dt(splitting)
+
+
+def default_dt(model: RodModel, control_dt: float, max_tension: float = 0.0) -> float:
+    """Largest step [s] that divides `control_dt` and is at most `DT_MARGIN` of what is stable without any damper.
+
+    A damper may make larger steps stable, but where it does it is not resolved: the motion freezes.
+    """
+    limit = SAFETY * _Linear(model, max_tension).largest_dt(None)
+    return control_dt / math.ceil(control_dt / (DT_MARGIN * limit))
+
+
+def contraction(model: RodModel, max_tension: float) -> tuple[FloatArray, FloatArray]:
+    """Length over rest length to which muscles may shorten each rod and each line, shapes (n_rod,) and (n_line,).
+
+    A force F shortens a rod of stiffness E A to E A / (E A + F), for it resists with E A (1 - e) / e. A muscle can do
+    that to itself. It may load any other rod with its tension, but shorten it no further than itself, and not below
+    `LEAST_CONTRACTION`: rather than that, rods that are not muscles bend.
+    """
+    if model.n_muscle == 0:
+        return np.ones(model.n_rod), np.ones(0)
+    load = OVERSHOOT * max_tension
+    rod_stiffness = np.array([rod.stretch_stiffness.min() for rod in model.rods])
+    line_stiffness = np.array([line.stiffness for line in model.lines])
+    rod = rod_stiffness / (rod_stiffness + load)
+    line = np.maximum(line_stiffness, np.finfo(float).tiny) / (line_stiffness + load + np.finfo(float).tiny)
+    muscle = np.zeros(model.n_rod, dtype=np.bool_)
+    muscle[list(model.muscles)] = True
+    shortest = float(np.concatenate([rod[muscle], line]).min())
+    least = np.where(muscle, MIN_DILATATION, max(shortest, LEAST_CONTRACTION))
+    return np.maximum(rod, least), np.maximum(line, MIN_DILATATION)
+
+
+@dataclass(frozen=True)
+class _Ties:
+    """What acts between two nodes each: their rows, shape (n_tie,), and its matrix [N/m], shape (n_tie, 3, 3)."""
+
+    first: IntArray
+    second: IntArray
+    matrix: FloatArray
+
+    def __call__(self, displacement: FloatArray) -> FloatArray:
+        """Return the force against a displacement of the nodes [N]; both of shape (n_node, 3)."""
+        pull = np.einsum("nij,nj->ni", self.matrix, displacement[self.second] - displacement[self.first])
+        force = np.zeros_like(displacement)
+        np.add.at(force, self.first, -pull)
+        np.add.at(force, self.second, pull)
+        return force
+
+
+def _ties(model: RodModel, ties: Sequence[Joint | Line], matrix: FloatArray) -> _Ties:
+    offset = model.node_offset
+    ends = [(offset[tie.rod_a] + tie.node_a, offset[tie.rod_b] + tie.node_b) for tie in ties]
+    first, second = np.array(ends, dtype=np.int64).reshape(-1, 2).T
+    return _Ties(first, second, matrix.reshape(-1, 3, 3))
+
+
+def _line_matrix(model: RodModel, dilatation: FloatArray, max_tension: float) -> FloatArray:
+    """Stiffness of each line [N/m], shape (n_line, 3, 3): E A / (L e^2) along it, tension over length across."""
+    place = model.rest_state().position
+    ties = _ties(model, model.lines, np.zeros((len(model.lines), 3, 3)))
+    side = place[ties.second] - place[ties.first]
+    along = np.einsum("ni,nj->nij", side, side) / np.sum(side**2, axis=1)[:, None, None]
+    rest = np.array([line.rest_length for line in model.lines])
+    stretch = np.array([line.stiffness for line in model.lines]) / (rest * dilatation**2)
+    across = max_tension / (rest * dilatation)
+    matrix: FloatArray = stretch[:, None, None] * along + across[:, None, None] * (np.eye(3) - along)
+    return matrix
+
+
+def _log_derivative(angle: FloatArray) -> FloatArray:
+    """Change of a rotation vector with a small turn after it, shape (n, 3, 3); transposed: with one before it."""
+    size = np.linalg.norm(angle, axis=1)
+    skew = np.cross(np.eye(3)[None], angle[:, None, :])
+    safe = np.where(size > 1e-3, size, 1.0)
+    curve = np.where(size > 1e-3, 1.0 / safe**2 - 0.5 / (safe * np.tan(0.5 * safe)), 1.0 / 12.0)
+    return np.eye(3) + 0.5 * skew + curve[:, None, None] * (skew @ skew)
+
+
+class _Linear:
+    """Forces of an assembly in line with small displacements [m] and turns [rad, material frame], muscles shortened.
+
+    An element of length e times its rest length l bears along it E A / (l e^2), across it G A / (l e), and against
+    turning l e G A, each per unit; a Voronoi region E I / (D e^3), against an inertia of J / e.
+    """
+
+    def __init__(self, model: RodModel, max_tension: float) -> None:
+        rods = model.rods
+        shortened, line_shortened = contraction(model, max_tension)
+        n_elem = [rod.n_elem for rod in rods]
+        e = np.repeat(shortened, n_elem)
+        pull = np.zeros(model.n_rod)
+        pull[list(model.muscles)] = max_tension
+        rest, shear, stretch, inertia = (
+            np.concatenate([getattr(rod, name) for rod in rods])
+            for name in ("rest_length", "shear_stiffness", "stretch_stiffness", "inertia")
+        )
+        self.low = np.delete(np.arange(model.n_node), model.node_offset[1:] - 1)
+        self.frame = np.concatenate([rod.directors for rod in rods])
+        # An element under axial force N turns against G A - N.
+        cross = shear + stretch * (1.0 - e) / e
+        across = (shear + np.repeat(pull, n_elem)) / (rest * e)
+        self.stretch = np.stack([across, across, stretch / (rest * e**2)], axis=1)
+        self.couple_across, self.turn = cross, rest * e * cross
+
+        self.left = np.delete(np.arange(model.n_elem), model.element_offset[1:] - 1)
+        angle = np.concatenate([rotation_between(rod.directors[:-1], rod.directors[1:]) for rod in rods])
+        stiff = np.concatenate(
+            [np.stack([rod.bend_stiffness, rod.bend_stiffness, rod.twist_stiffness], axis=1) / rod.rest_voronoi[:, None]
+             for rod in rods]
+        )  # fmt: skip
+        root = np.sqrt(stiff / np.repeat(shortened, [n - 1 for n in n_elem])[:, None] ** 3)
+        after = _log_derivative(angle)
+        self.after, self.before = root[:, :, None] * after, root[:, :, None] * after.transpose(0, 2, 1)
+
+        spring = np.array([joint.stiffness for joint in model.joints])[:, None, None] * np.eye(3)
+        dashpot = np.array([joint.damping for joint in model.joints])[:, None, None] * np.eye(3)
+        self.ties = [_ties(model, model.joints, spring)]
+        if model.lines:
+            self.ties.append(_ties(model, model.lines, _line_matrix(model, line_shortened, max_tension)))
+        self.dashpots = _ties(model, model.joints, dashpot) if dashpot.any() else None
+
+        self.n_node, self.n_elem = model.n_node, model.n_elem
+        damping = np.repeat([rod.rotational_damping for rod in rods], n_elem)
+        mass = np.repeat(model.node_mass, 3)
+        spin_mass = ((inertia / e)[:, None] * [1.0, 1.0, 2.0]).ravel()
+        self.mass = np.concatenate([mass, spin_mass])
+        self.rate = np.concatenate([np.repeat(model.node_damping, 3) / mass, np.repeat(damping, 3) / spin_mass])
+        free_node, free_element = np.ones((model.n_node, 3)), np.ones((model.n_elem, 3))
+        for clamp in model.clamps:
+            if clamp.node is not None:
+                free_node[model.node_offset[clamp.rod] + clamp.node] = 0.0
+            if clamp.element is not None:
+                free_element[model.element_offset[clamp.rod] + clamp.element] = 0.0
+        self.free = np.concatenate([free_node.ravel(), free_element.ravel()])
+
+    def largest_dt(self, splitting: Splitting | None) -> float:
+        """Largest stable step [s]; without dampers (but with dashpots) where splitting is None.
+
+        The dampers' share and that of the dashpots depend on the step. Each round takes them at the step of the round
+        before; the first is too short, and so no round goes beyond the limit.
+        """
+        spring = self._largest(self.mass, 1.0, 0.0)
+        dashpot = 0.0 if self.dashpots is None else self._largest(self.mass, 0.0, 1.0)
+        # An oscillator with a lagged dashpot is stable while spring dt^2 + 2 dashpot dt <= 4.
+        dt = 4.0 / (math.sqrt(dashpot**2 + 4.0 * spring) + dashpot)
+        if self.dashpots is None and (splitting is None or not self.rate.any()):
+            return dt
+        for _ in range(_MAX_ROUNDS):
+            square = self._largest(self._effective_mass(dt, splitting), 1.0, 2.0 / dt)
+            longer = 2.0 / math.sqrt(square)
+            if longer * self.rate.min() > _FROZEN:
+                return math.inf
+            if longer < (1.0 + _ROUND_TOLERANCE) * dt:
+                return longer
+            dt = longer
+        return dt
+
+    def _effective_mass(self, dt: float, splitting: Splitting | None) -> FloatArray:
+        """Mass that a step of dt has to turn round: m (1/D + 1) / 2, or m (1/sqrt(D) + sqrt(D)) / 2."""
+        if splitting is None:
+            return self.mass
+        decay = np.minimum(self.rate * dt, _MAX_EXPONENT)
+        if splitting == "symmetric":
+            return self.mass * np.cosh(0.5 * decay)
+        return self.mass * 0.5 * (1.0 + np.exp(decay))
+
+    def _largest(self, mass: FloatArray, springs: float, dashpots: float) -> float:
+        """Largest eigenvalue of springs * K + dashpots * C over the given masses."""
+        scale = self.free / np.sqrt(mass)
+
+        def apply(x: FloatArray) -> FloatArray:
+            force = springs * self.stiff(scale * x)
+            if self.dashpots is not None and dashpots > 0.0:
+                force += dashpots * self.dash(self.dashpots, scale * x)
+            scaled: FloatArray = scale * force
+            return scaled
+
+        return _largest_eigenvalue(apply, scale.size)
+
+    def dash(self, dashpots: _Ties, x: FloatArray) -> FloatArray:
+        """Force of the joints' dashpots against velocities x of nodes and elements."""
+        against = np.zeros_like(x)
+        against[: 3 * self.n_node] = dashpots(x[: 3 * self.n_node].reshape(-1, 3)).ravel()
+        return against
+
+    def stiff(self, x: FloatArray) -> FloatArray:
+        """Return the forces and couples against displacements and turns x, shape (3 n_node + 3 n_elem,)."""
+        shift, turn = x[: 3 * self.n_node].reshape(-1, 3), x[3 * self.n_node :].reshape(-1, 3)
+        side = np.einsum("nij,nj->ni", self.frame, shift[self.low + 1] - shift[self.low])
+        pull = self.stretch * side
+        pull[:, 0] -= self.couple_across * turn[:, 1]
+        pull[:, 1] += self.couple_across * turn[:, 0]
+        pull = np.einsum("nji,nj->ni", self.frame, pull)
+        couple = np.zeros_like(turn)
+        couple[:, 0] = self.couple_across * side[:, 1] + self.turn * turn[:, 0]
+        couple[:, 1] = -self.couple_across * side[:, 0] + self.turn * turn[:, 1]
+        bend = np.einsum("nij,nj->ni", self.after, turn[self.left + 1])
+        bend -= np.einsum("nij,nj->ni", self.before, turn[self.left])
+        couple[self.left + 1] += np.einsum("nji,nj->ni", self.after, bend)
+        couple[self.left] -= np.einsum("nji,nj->ni", self.before, bend)
+        force = sum((ties(shift) for ties in self.ties), np.zeros_like(shift))
+        force[self.low] -= pull
+        force[self.low + 1] += pull
+        return np.concatenate([force.ravel(), couple.ravel()])
+
+
+def _largest_eigenvalue(apply: Callable[[FloatArray], FloatArray], size: int) -> float:
+    """Largest eigenvalue of a symmetric operator on vectors of the given size, by Lanczos' iteration."""
+    now = np.random.default_rng(0).standard_normal(size)
+    now /= np.linalg.norm(now)
+    before, link = np.zeros(size), 0.0
+    diagonal, links = [], []
+    for _ in range(min(N_LANCZOS, size)):
+        new = apply(now) - link * before
+        diagonal.append(float(new @ now))
+        new -= diagonal[-1] * now
+        link = float(np.linalg.norm(new))
+        links.append(link)
+        if link <= 1e-12 * max(map(abs, diagonal)):
+            break
+        before, now = now, new / link
+    off = np.diag(links[:-1], 1)
+    return float(np.linalg.eigvalsh(np.diag(diagonal) + off + off.T)[-1])

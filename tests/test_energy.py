@@ -1,0 +1,239 @@
+"""Stored energy against the work of the forces, the ledger against time, and the checks that rest on them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, cast, get_args
+
+import numpy as np
+import pytest
+
+from lattice_gym.design import FloatArray, LatticeDesign
+from lattice_gym.energy import ENERGY_TOLERANCE, EnergyMeter, Flow, StoredEnergy, ledger
+from lattice_gym.engines import Engine, EngineName, Health, Splitting, Status, make_engine
+from lattice_gym.env import LatticeWormEnv
+from lattice_gym.lattice import Lattice, build_lattice
+from lattice_gym.model import Clamp, Joint, Line, PointForce, PointTorque, RodModel, RodState, build_model, straight_rod
+from lattice_gym.muscles import named_layout
+
+ROD = {"radius": 0.05, "density": 1e3, "youngs_modulus": 1e5, "shear_modulus": 3e4}
+SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
+
+
+def _moved(state: RodState, shift: FloatArray) -> RodState:
+    return replace(state, position=state.position + shift)
+
+
+@pytest.mark.parametrize("strain", [-0.6, -1e-4, 1e-6, 2e-3, 0.5, 2.0])
+def test_stretch_is_the_integral_of_the_force(strain: float) -> None:
+    """E A (e - 1) / e over the way, here by Gauss's rule; so for a line."""
+    rod = straight_rod((0, 0, 0), (0, 0, 2), 2, **ROD)
+    model = RodModel(rods=(rod,), lines=(Line(0, 0, 0, 2, 2.0, 7.0),))
+    stored = EnergyMeter(model).stored(_moved(model.rest_state(), strain * model.rest_state().position))
+    node, weight = np.polynomial.legendre.leggauss(40)
+    share = 0.5 * strain * (node + 1.0)
+    integral = 0.5 * strain * float(weight @ (share / (1.0 + share)))
+    np.testing.assert_allclose(stored.stretch, rod.stretch_stiffness * integral, rtol=1e-9)
+    np.testing.assert_allclose(stored.line, 7.0 * 2.0 * integral, rtol=1e-9)
+
+
+def test_every_part_has_its_formula() -> None:
+    """Speed, spin, bending and joints, by hand."""
+    rods = tuple(straight_rod((x, 0, 0), (x, 0, 1), 2, **ROD) for x in (0.0, 1.0))
+    model = RodModel(rods=rods, joints=(Joint(0, 0, 1, 0, 8.0),))
+    rest, angle = model.rest_state(), 0.3
+    directors = rest.directors.copy()
+    directors[1] = (
+        np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]) @ (directors[1])
+    )
+    state = replace(
+        rest, directors=directors, velocity=rest.velocity + 2.0, omega=rest.omega + np.array([1.0, 2.0, 3.0])
+    )
+    stored = EnergyMeter(model).stored(state)
+    np.testing.assert_allclose(stored.translation, 6.0 * model.node_mass)
+    np.testing.assert_allclose(stored.rotation, np.tile(0.5 * rods[0].inertia * (1 + 4 + 18), 2))
+    np.testing.assert_allclose(stored.bend, [0.5 * rods[0].bend_stiffness[0] * angle**2 / 0.5, 0.0], atol=1e-12)
+    np.testing.assert_allclose(stored.joint, [4.0])
+    assert stored.total == pytest.approx(
+        sum(float(getattr(stored, name).sum()) for name in StoredEnergy.__annotations__)
+    )
+
+
+def _assembly(muscles: str) -> RodModel:
+    """Join a rod to the tip of a clamped one with a dashpot, a muscle across and loads on it."""
+    damped = {"damping": 0.02, "rotational_damping": 1e-3}
+    rods = [
+        straight_rod((0, 0, 0), (0, 0, 1), 4, **ROD, **damped),
+        straight_rod((0, 0, 1), (1, 0, 1), 4, **ROD, **damped),
+    ]
+    joints = [Joint(0, 4, 1, 0, 500.0, 0.5)]
+    lines: tuple[Line, ...] = ()
+    if muscles == "rod":
+        rods.append(straight_rod((0, 0, 0.5), (0.5, 0, 1), 2, **ROD))
+        joints += [Joint(0, 2, 2, 0, 500.0), Joint(1, 2, 2, 2, 500.0)]
+    else:
+        lines = (Line(0, 2, 1, 2, np.sqrt(0.5), 300.0, 0.1, 0.1),)
+    return RodModel(
+        rods=tuple(rods), joints=tuple(joints), lines=lines, muscles=(2,) if muscles == "rod" else (),
+        clamps=(Clamp(0, 0, 0),), forces=(PointForce(1, 4, (0.0, 3.0, -2.0)),),
+        torques=(PointTorque(1, 2, (0.1, 0.2, 0.3)),),
+    )  # fmt: skip
+
+
+def _worked(engine: Engine, time: float, n_call: int) -> tuple[FloatArray, float]:
+    """Muscle work, load work, dissipation and stored energy of ramps up and down; and the residual."""
+    ramps = [20.0 * np.array([[k % 2], [(k + 1) % 2]]) for k in range(n_call)]
+    total, residual = np.zeros(4), 0.0
+    for ramp in ramps:
+        assert engine.advance(ramp, round(time / n_call / engine.dt)).ok
+        entry = engine.ledger
+        assert entry is not None
+        total += [entry.muscle_work, entry.load_work, entry.dissipated, entry.stored]
+        residual += entry.residual
+        assert entry.residual == pytest.approx(
+            entry.muscle_work + entry.load_work - entry.dissipated - entry.stored, abs=1e-12
+        )
+    return total, residual
+
+
+@pytest.mark.parametrize("muscles", ["rod", "line"])
+def test_the_ledger_balances(muscles: str) -> None:
+    """Every part comes in; halving the step shrinks what the splitting leaves over, to what the law itself does."""
+    model = _assembly(muscles)
+    results = {
+        (splitting, dt): _worked(make_engine("fused", model, dt, splitting, True), 0.4, 4)
+        for splitting in get_args(Splitting)
+        for dt in (4e-4, 2e-4, 1e-4)
+    }
+    parts, left = results["symmetric", 1e-4]
+    assert np.all(np.abs(parts) > 1e-3)
+    assert parts[2] > 0.0
+    assert abs(left) < 5e-3 * np.abs(parts).sum()
+    for (splitting, dt), (other, residual) in results.items():
+        order = 1 if splitting == "pyelastica" else 2
+        np.testing.assert_allclose(other, parts, rtol=0.0, atol=np.abs(parts).sum() * 0.05 * (dt / 4e-4) ** (order - 1))
+        assert abs(residual - left) < 0.02 * np.abs(parts).sum()
+
+
+@pytest.mark.parametrize("muscles", ["rod", "line"])
+def test_engines_keep_the_same_books(muscles: str) -> None:
+    """PyElastica's own steps, counted in numpy, give the same work, dissipation and energy."""
+    books = [_worked(make_engine(name, _assembly(muscles), 2e-4, energy_check=True), 0.1, 2)[0]
+             for name in ("fused", "pyelastica")]  # fmt: skip
+    np.testing.assert_allclose(books[0], books[1], rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("splitting", ["pyelastica", "symmetric"])
+def test_dissipation_is_what_motion_loses(splitting: Splitting) -> None:
+    """In a step from rest without forces damping alone takes the kinetic energy, to rounding; in spin as in speed.
+
+    What the first half of a split damping takes from a spin is reckoned from what the second half leaves.
+    """
+    rod = straight_rod((0, 0, 0), (0, 0, 1), 2, **ROD, damping=0.5, rotational_damping=0.02)
+    model = RodModel(rods=(rod,))
+    engine = make_engine("fused", model, 1e-3, splitting, True)
+    rest, meter = model.rest_state(), EnergyMeter(model)
+    for velocity, omega in ((0.7, 0.0), (0.0, 0.5)):
+        first = replace(rest, velocity=rest.velocity + velocity, omega=rest.omega + np.array([0.0, 0.0, omega]))
+        engine.restore(first)
+        engine.advance([], 1)
+        before, after = meter.stored(first), meter.stored(engine.state)
+        lost = float((before.translation - after.translation).sum() + (before.rotation - after.rotation).sum())
+        entry = engine.ledger
+        assert entry is not None
+        assert lost > 0.0
+        assert entry.dissipated == pytest.approx(lost, rel=0.02 if omega and splitting == "symmetric" else 1e-12)
+
+
+def test_the_check_changes_nothing_else(engine_name: EngineName, lattice: Lattice) -> None:
+    """With the books kept, the state is the same to the last bit; without them, there is no ledger."""
+    model = build_model(lattice, named_layout("all", lattice))
+    plain, checked = (make_engine(engine_name, model, 2e-4, energy_check=on) for on in (False, True))
+    pull = np.random.default_rng(0).uniform(0.0, 0.5, (2, model.n_muscle))
+    for engine in (plain, checked):
+        engine.advance(pull, 10)
+    assert np.array_equal(plain.state.position, checked.state.position)
+    assert plain.ledger is None
+    assert checked.ledger is not None
+    checked.restore(checked.state)
+    assert checked.ledger is None
+
+
+def test_energy_from_nowhere_is_flagged(monkeypatch: pytest.MonkeyPatch, lattice: Lattice) -> None:
+    """An engine whose muscles claim more work than they did loses energy; claim less, and it came from nowhere."""
+    model = build_model(lattice, named_layout("all", lattice))
+    pull = np.full(model.n_muscle, 0.3)
+
+    def health(share: float) -> Health:
+        engine = make_engine("fused", model, 2e-4, energy_check=True)
+        flow = engine._flow
+        monkeypatch.setattr(engine, "_flow", lambda: replace(f := flow(), muscle_work=share * f.muscle_work))
+        return engine.advance(pull, 50)
+
+    assert health(1.0).ok
+    assert health(2.0).ok
+    found = health(0.5)
+    assert found.status is Status.ENERGY
+    assert 0 <= found.rod < model.n_rod
+    assert str(found).startswith("energy (rod ")
+
+
+def test_the_place_is_where_the_energy_is() -> None:
+    """The rod and element that hold most."""
+    model = RodModel(rods=tuple(straight_rod((x, 0, 0), (x, 0, 1), 3, **ROD) for x in (0.0, 1.0)))
+    rest, meter = model.rest_state(), EnergyMeter(model)
+    velocity = rest.velocity.copy()
+    velocity[6] = 1.0
+    state = replace(rest, velocity=velocity, position=rest.position + np.where(np.arange(8) == 7, 0.3, 0.0)[:, None])
+    assert meter.most(meter.stored(state)) == (1, 2)
+
+
+def test_rest_is_no_alarm() -> None:
+    """Rounding at rest is no energy from nowhere, whatever its share of next to nothing."""
+    model = RodModel(rods=(straight_rod((0, 0, 0), (0, 0, 1), 3, **ROD),))
+    meter = EnergyMeter(model)
+    rest = meter.stored(model.rest_state())
+    nudge = meter.stored(_moved(model.rest_state(), 1e-9 * np.eye(4, 3)))
+    entry = ledger(rest, nudge, Flow(), meter.least)
+    assert -ENERGY_TOLERANCE * entry.scale < entry.residual < 0.0
+
+
+@pytest.mark.parametrize("rest_gap", [0.0, 0.3])
+def test_torn_joints_are_named(engine_name: EngineName, rest_gap: float) -> None:
+    """A gap beyond both radii and the gap at rest, at the rod and element of its first node; one within is none."""
+    rods = tuple(straight_rod((x, 0, 0), (x, 0, 1), 2, **ROD) for x in (0.0, 0.5, 0.5 + rest_gap))
+    model = RodModel(rods=rods, joints=(Joint(0, 0, 1, 0, 1e-3), Joint(1, 2, 2, 2, 1e-3)))
+    for apart, status in ((0.09, Status.OK), (0.11, Status.TORN)):
+        engine, state = make_engine(engine_name, model, 1e-6), model.rest_state()
+        position = state.position.copy()
+        position[model.nodes(2)] += [apart, 0.0, 0.0]
+        engine.restore(replace(state, position=position))
+        health = engine.advance([], 1)
+        assert health.status is status
+        if not health.ok:
+            assert (health.rod, health.element, health.joint) == (1, 1, 1)
+            assert str(health) == "torn (rod 1, element 1, joint 1)"
+
+
+def test_the_environment_offers_the_check() -> None:
+    """Off by default; on, an episode with a sound step runs as before; anything but True and False is refused."""
+    with pytest.raises(ValueError, match="energy_check"):
+        LatticeWormEnv("extension", design=SMALL, energy_check=cast(bool, 1))
+    returned = []
+    for check in (False, True):
+        env = LatticeWormEnv("extension", design=SMALL, energy_check=check)
+        env.reset(seed=0)
+        returned.append([env.step(np.ones(env.action_space.shape))[1] for _ in range(5)])
+    assert returned[0] == returned[1]
+
+
+def test_line_muscles_keep_the_books_too() -> None:
+    """A lattice with muscles as lines: what the muscles put in is found again."""
+    lattice = build_lattice(LatticeDesign(**{**SMALL, "muscle_model": "line"}))
+    model = build_model(lattice, named_layout("all", lattice))
+    engine = make_engine("fused", model, 5e-5, "symmetric", True)
+    assert engine.advance(np.stack([np.zeros(model.n_muscle), np.full(model.n_muscle, 0.3)]), 1000).ok
+    entry = engine.ledger
+    assert entry is not None
+    assert entry.muscle_work > 0.0
+    assert abs(entry.residual) < 2e-3 * entry.scale

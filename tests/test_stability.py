@@ -1,0 +1,229 @@
+"""The predicted stable step, held against what the engine bears."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lattice_gym.design import FloatArray, LatticeDesign
+from lattice_gym.engines import Splitting, make_engine
+from lattice_gym.lattice import build_lattice
+from lattice_gym.model import Clamp, Joint, Line, RodModel, RodState, build_model, straight_rod
+from lattice_gym.muscles import named_layout
+from lattice_gym.reports import stability as report
+from lattice_gym.stability import DT_MARGIN, SAFETY, _largest_eigenvalue, contraction, default_dt, stable_dt
+
+STEEL: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}
+SOFT: dict[str, Any] = STEEL | {"youngs_modulus": 1.0, "shear_modulus": 1.0}
+
+
+def worm(**design: Any) -> RodModel:
+    """Model of a worm with every muscle."""
+    lattice = build_lattice(LatticeDesign(**design))
+    return build_model(lattice, named_layout("all", lattice))
+
+
+def holds_still(model: RodModel, dt: float, splitting: Splitting, state: RodState, tension: float) -> bool:
+    """Whether 4,000 steps from a slightly shaken balance stay finite and small."""
+    engine = make_engine("fused", model, dt, splitting)
+    shake = 1e-6 * np.random.default_rng(0).standard_normal(state.velocity.shape)
+    for clamp in model.clamps:
+        if clamp.node is not None:
+            shake[model.node_offset[clamp.rod] + clamp.node] = 0.0
+    engine.restore(replace(state, velocity=shake))
+    health = engine.advance(np.full(model.n_muscle, tension), 4000)
+    return health.ok and bool(np.abs(engine.state.velocity).max() < 1e-3)
+
+
+def measured_dt(
+    model: RodModel, splitting: Splitting = "pyelastica", state: RodState | None = None, tension: float = 0.0
+) -> float:
+    """Largest step that holds still, by bisection to 1 %."""
+    low = high = 0.5 * stable_dt(model, splitting=splitting)
+    state = model.rest_state() if state is None else state
+    while holds_still(model, high, splitting, state, tension):
+        low, high = high, 1.5 * high
+    while not holds_still(model, low, splitting, state, tension):
+        low, high = low / 1.5, low
+    while high / low > 1.01:
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if holds_still(model, middle, splitting, state, tension) else (low, middle)
+    return low
+
+
+def assert_exact(model: RodModel, splitting: Splitting = "pyelastica") -> None:
+    """Around rest the computed limit, before the safety, is the measured one to 2 %."""
+    assert stable_dt(model, splitting=splitting) / SAFETY == pytest.approx(measured_dt(model, splitting), rel=0.02)
+
+
+@pytest.mark.parametrize(("n_elem", "radius"), [(2, 0.05), (4, 0.05), (20, 0.05), (20, 0.005), (10, 0.2)])
+def test_a_straight_rod(n_elem: int, radius: float) -> None:
+    """Stretch, shear, bending and twist of slender and of thick elements."""
+    assert_exact(RodModel(rods=(straight_rod((0, 0, 0), (0, 0, 1), n_elem, **(STEEL | {"radius": radius})),)))
+
+
+@pytest.mark.parametrize("radius", [0.001, 0.01, 0.04])
+def test_a_rod_by_formula(radius: float) -> None:
+    """Nodes move and elements turn in opposite senses: a 2 x 2 problem of deflection (shear) and turning."""
+    model = RodModel(rods=(straight_rod((0, 0, 0), (0, 0, 1), 100, **(STEEL | {"radius": radius})),))
+    bend, deflect, turn = 1e6 / 0.01**2, 27.0 / 28.0 * 4e5 / 0.01**2, 27.0 / 28.0 * 4e5 / radius**2
+    trace = bend + deflect + turn
+    square = 2.0 / 1e3 * (trace + math.sqrt(trace**2 - 4.0 * deflect * bend))
+    assert stable_dt(model) == pytest.approx(SAFETY * 2.0 / math.sqrt(square), rel=2e-3)
+
+
+def star(n_arm: int, stiffness: float, damping: float = 0.0) -> RodModel:
+    """Soft rods that all meet in one node of the first."""
+    angle = 2.0 * np.pi * np.arange(n_arm) / n_arm
+    rods = tuple(straight_rod((0, 0, 0), (np.cos(a), np.sin(a), 0), 2, **SOFT) for a in angle)
+    return RodModel(rods=rods, joints=tuple(Joint(0, 0, arm, 0, stiffness, damping) for arm in range(1, n_arm)))
+
+
+@pytest.mark.parametrize("n_arm", [2, 3, 7])
+def test_springs_on_one_node(n_arm: int) -> None:
+    """With n nodes of mass m on stiff springs to one the highest squared frequency is n k / m."""
+    model = star(n_arm, 1e6)
+    exact = 2.0 / math.sqrt(n_arm * 1e6 / model.rods[0].mass[0])
+    assert stable_dt(model) == pytest.approx(SAFETY * exact, rel=1e-3)
+    assert_exact(model)
+
+
+@pytest.mark.parametrize("damping", [30.0, 300.0, 3000.0])
+def test_dashpots(damping: float) -> None:
+    """Dashpots see the velocity before the kick, and lower the limit."""
+    assert stable_dt(star(3, 1e6, damping)) < stable_dt(star(3, 1e6))
+    assert_exact(star(3, 1e6, damping))
+
+
+def test_lines() -> None:
+    """A line is a spring along its length, with half its mass at either end."""
+    rods = tuple(straight_rod((0, 0, z), (0, 1, z), 2, **SOFT) for z in (0, 1))
+    model = RodModel(rods=rods, lines=(Line(0, 0, 1, 0, 1.0, 1e6, mass=0.5),))
+    assert stable_dt(model) == pytest.approx(SAFETY * 2.0 / math.sqrt(2e6 / model.node_mass[0]), rel=1e-3)
+    assert_exact(model)
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        {},
+        {"muscle_model": "line", "muscle_youngs_modulus": 1e7, "n_pairs": 3},
+        {"joint_stiffness": 1e4, "base": "free", "n_pairs": 3},
+        {"structure_radius": 1e-3, "joint_damping": 0.02, "n_pairs": 3},
+        {"n_pairs": 3, "elements_per_segment": 1},
+    ],
+)
+def test_the_lattice_at_rest(design: dict[str, Any]) -> None:
+    """Curved rods, springs, clamps and muscles together."""
+    assert_exact(worm(**design))
+
+
+@pytest.mark.parametrize("splitting", ["pyelastica", "symmetric"])
+def test_dampers_raise_the_limit(splitting: Splitting) -> None:
+    """Dampers on nodes and on elements, in either splitting, and both at once without a limit."""
+    soft = {"n_pairs": 3, "elements_per_segment": 2}
+    for damping, spin in ((10.0, 0.0), (10.0, 1e-5)):
+        damped = worm(**soft, damping=damping, rotational_damping=spin)
+        assert stable_dt(damped, splitting=splitting) > 1.01 * stable_dt(
+            worm(**soft, rotational_damping=0.0), splitting=splitting
+        )
+        assert_exact(damped, splitting)
+    frozen = worm(**soft, damping=300.0, rotational_damping=3e-4)
+    assert stable_dt(frozen, splitting=splitting) == math.inf
+    assert holds_still(frozen, 0.05, splitting, frozen.rest_state(), 0.0)
+
+
+def test_dampers_do_not_lengthen_the_default_step() -> None:
+    """Where they alone make a step stable it does not resolve them."""
+    soft = {"n_pairs": 3, "elements_per_segment": 2}
+    steps = [default_dt(worm(**soft, damping=d, rotational_damping=1e-6 * d), 0.05, 0.5) for d in (0.0, 3.0, 300.0)]
+    assert steps == [steps[0]] * 3
+    limit = stable_dt(worm(**soft, damping=0.0, rotational_damping=0.0), 0.5)
+    assert 0.9 * DT_MARGIN * limit < steps[0] <= DT_MARGIN * limit
+    assert 0.05 / steps[0] == pytest.approx(round(0.05 / steps[0]), abs=1e-9)
+
+
+def contracted(tension: float) -> tuple[RodModel, RodState, float]:
+    """Make a muscle held at one end and in balance under its own tension, and its length over that at rest."""
+    muscle = straight_rod((0, 0, 0), (0, 0, 1), 10, **(STEEL | {"radius": 0.2}))
+    model = RodModel(rods=(muscle,), muscles=(0,), clamps=(Clamp(0, node=0, element=0),))
+    length = muscle.stretch_stiffness[0] / (muscle.stretch_stiffness[0] + tension)
+    return model, replace(model.rest_state(), position=length * muscle.position), length
+
+
+def test_a_contracted_muscle() -> None:
+    """It is stiffer than at rest: what is stable at rest is not, what is predicted for the tension is."""
+    stiffness = 1e6 * np.pi * 0.04
+    model, state, length = contracted(stiffness)
+    assert length == pytest.approx(0.5)
+    limit = measured_dt(model, state=state, tension=stiffness)
+    assert limit < stable_dt(model, 0.0)
+    assert 0.4 * limit < stable_dt(model, stiffness) < limit
+    assert contraction(model, stiffness)[0] < length
+
+
+def test_contraction() -> None:
+    """None without tension or muscles; more with more tension; no rod below its muscles or half its length."""
+    model = worm(muscle_youngs_modulus=1e5)
+    assert (contraction(model, 0.0)[0] == 1.0).all()
+    rods = contraction(replace(model, muscles=()), 1e3)[0]
+    assert (rods == 1.0).all()
+    before: FloatArray = np.ones(model.n_rod)
+    for tension in (0.1, 1.0, 10.0, 100.0):
+        now = contraction(model, tension)[0]
+        assert (now <= before).all()
+        assert now[:12].min() >= max(0.5, now[12:].min())
+        before = now
+    assert contraction(worm(muscle_model="line"), 1.0)[1].max() < 1.0
+
+
+@pytest.mark.parametrize("tension", [-1.0, math.nan, math.inf])
+def test_bad_tension(tension: float) -> None:
+    """It is named."""
+    with pytest.raises(ValueError, match="max_tension"):
+        stable_dt(star(2, 1.0), tension)
+
+
+def test_largest_eigenvalue() -> None:
+    """Lanczos' iteration against a dense solver, also where it ends early."""
+    rng = np.random.default_rng(0)
+    for size in (1, 2, 30, 300):
+        root = rng.standard_normal((size, size))
+        matrix = root @ root.T
+        found = _largest_eigenvalue(matrix.__matmul__, size)
+        assert found == pytest.approx(np.linalg.eigvalsh(matrix)[-1], rel=1e-3)
+    assert _largest_eigenvalue(lambda x: 3.0 * x, 50) == pytest.approx(3.0)
+
+
+def cheap(case: report.Case) -> bool:
+    """Whether a case takes about a second."""
+    return bool(case.design["elements_per_segment"] <= 4 and case.design["n_pairs"] <= 3)
+
+
+CHEAP = [case for case in report.random_cases(30, seed=1) if cheap(case)]
+
+
+@pytest.mark.parametrize("case", CHEAP, ids=lambda case: case.design["base"])
+def test_never_above_the_measured_limit(case: report.Case) -> None:
+    """Random designs under random bang-bang activation."""
+    limit = report.measure(case)
+    assert limit.beyond or 0.4 <= limit.ratio <= 1.0
+
+
+def test_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A case that collapses is listed apart, the others are counted, and all is written."""
+    monkeypatch.setattr(report, "GRID", {"load": {"tension": (0.5, 4.0), "modulus": (0.01, 100.0)}})
+    report.report(tmp_path, command="test", jobs=1, n_random=0)
+    result = json.loads((tmp_path / "stability.json").read_text())
+    assert (result["summary"]["n_case"], len(result["cases"])) == (4, 4)
+    assert {row["beyond"] for row in result["cases"] if row["case"]["factors"].get("modulus") == 0.01} == {"collapse"}
+    found = result["summary"]["stable"]
+    assert (found["n_counted"], found["n_apart"], found["n_above_1"], found["holds"]) == (2, 2, 0, True)
+    assert (tmp_path / "stability.png").read_bytes()[1:4] == b"PNG"
+    assert "| load" in (tmp_path / "stability.md").read_text()
