@@ -1,4 +1,4 @@
-"""Command line: `python -m lattice_gym.reports {paper,engines} [options]`."""
+"""Command line: `python -m lattice_gym.reports {paper,engines,validation} [options]`."""
 
 from __future__ import annotations
 
@@ -21,6 +21,13 @@ def _tension(text: str) -> float:
     return value
 
 
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise ValueError(text)
+    return value
+
+
 def parser() -> argparse.ArgumentParser:
     """Build the command line's parser."""
     top = argparse.ArgumentParser(prog="python -m lattice_gym.reports", description="Measure what the engines reach.")
@@ -34,20 +41,48 @@ def parser() -> argparse.ArgumentParser:
         "--tension", type=_tension, nargs="+", default=[0.5, 1.0], help="tension in each muscle [N] (default: 0.5 1)"
     )
     paper.add_argument("--no-pictures", action="store_true", help="leave out the picture of the final shapes")
+    precision = names.add_parser("work-precision", help="error against run time, over step, mesh, damping and muscles")
+    precision.add_argument("--quick", action="store_true", help="shorter motions, fewer settings: half a minute")
     names.add_parser("engines", help="agreement and speed of the fused engine against PyElastica")
+    stability = names.add_parser("stability", help="the predicted stable step against the measured one")
+    stability.add_argument("--quick", action="store_true", help="fewer cases: less than a minute")
+    stability.add_argument("--jobs", type=int, choices=range(1, 65), default=2, metavar="N", help="processes, 1 to 64")
+    stability.add_argument("--seed", type=_seed, default=0, help="of the random designs (default: 0)")
+    validation = names.add_parser("validation", help="both engines on every exact case, and orders of convergence")
+    validation.add_argument("--quick", action="store_true", help="coarse meshes, fewer orders")
+    validation.add_argument("--no-pictures", action="store_true", help="leave out the picture")
+    divergence = names.add_parser("divergence", help="is every run that goes wrong caught, and no other")
+    divergence.add_argument("--quick", action="store_true", help="a tenth of the runs: half a minute")
     return top
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one report; exit status 1 where it shows a failure."""
     options = parser().parse_args(arguments)
-    command = f"python -m lattice_gym.reports {options.name}"
+    command = f"python -m lattice_gym.reports {options.name}" + (" --quick" if getattr(options, "quick", False) else "")
     if options.name == "paper":
         from lattice_gym.reports.paper import report as report_paper
 
         command += f" --engine {options.engine} --tension {' '.join(f'{tension:g}' for tension in options.tension)}"
         pictures = not options.no_pictures
         good = report_paper(options.engine, options.tension, options.out, pictures=pictures, command=command)
+    elif options.name == "work-precision":
+        from lattice_gym.reports.work_precision import report as report_precision
+
+        good = report_precision(options.out, quick=options.quick, command=command)
+    elif options.name == "stability":
+        from lattice_gym.reports.stability import report as report_stability
+
+        jobs, seed = options.jobs, options.seed
+        good = report_stability(options.out, command=command, quick=options.quick, jobs=jobs, seed=seed)
+    elif options.name == "validation":
+        from lattice_gym.reports.validation import report as report_validation
+
+        good = report_validation(options.out, quick=options.quick, pictures=not options.no_pictures, command=command)
+    elif options.name == "divergence":
+        from lattice_gym.reports.divergence import report as report_divergence
+
+        good = report_divergence(options.out, quick=options.quick, command=command)
     else:
         from lattice_gym.reports.engines import report as report_engines
 

@@ -14,9 +14,10 @@ import numpy as np
 from lattice_gym.design import LatticeDesign
 from lattice_gym.engines import Engine, EngineName, make_engine
 from lattice_gym.lattice import build_lattice
-from lattice_gym.model import RodModel, build_model, default_dt
+from lattice_gym.model import RodModel, build_model
 from lattice_gym.muscles import named_layout
 from lattice_gym.reports.provenance import provenance, table, write
+from lattice_gym.stability import default_dt
 
 ENGINES: tuple[EngineName, EngineName] = ("fused", "pyelastica")
 BENCHMARK_DT = 1e-4

@@ -1,0 +1,380 @@
+"""Is every run that goes wrong caught? Many seeded runs against the same ones at an eighth of the step.
+
+The truth about a run is its twin at dt/8. It has an end where
+
+- the twin fails a check of its shape itself: the mesh collapses, at any step. No step could tell where its nodes
+  belong; what is asked of the run is that it is flagged, too, not later than one control step after the twin;
+- the motion forks: a second twin, whose muscles pull by up to 0.1 % more or less, parts from the first by more than
+  1 % of the height (a rod that buckles this way or that). A state that depends on less than any muscle is known by has
+  no true value to 1 %; its runs are compared until then.
+
+The energy check is judged by where a run goes: the run goes on after its flag, which counts from the moment it came.
+
+Up to that end, a run is right if no node is ever further than 1 % of the height from the twin's, wrong if any is
+further than 10 %, and in between otherwise. The state that a check refuses counts; one not finite is infinitely far.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from lattice_gym.design import FloatArray, LatticeDesign
+from lattice_gym.energy import ENERGY_TOLERANCE
+from lattice_gym.engines import Engine, Health, Splitting, Status, joint_reach, make_engine
+from lattice_gym.lattice import Lattice, build_lattice
+from lattice_gym.measures import dilatation
+from lattice_gym.model import RodModel, build_model
+from lattice_gym.muscles import LAYOUTS, advance_activation, named_layout
+from lattice_gym.reports.provenance import provenance, table, write
+from lattice_gym.stability import stable_dt
+
+WRONG, RIGHT = 0.10, 0.01
+"""Distance from the twin [height] beyond which a run is wrong, and up to which it is right."""
+TWIN = 8
+"""Steps of the twin in one of the run's."""
+FORK_TENSION = 1e-3
+"""Relative change of each muscle's tension that must not decide where a run goes."""
+N_CONTROL = 12
+"""Control steps of a run."""
+CONTROL_DT = 0.05
+"""[s]"""
+MAX_SUBSTEPS = 500
+"""Where the step is so short that more of them make a control step, the control step is shortened."""
+REPORT_EVERY = 10.0
+"""Time between lines of progress [s]."""
+FULL, QUICK = 400, 40
+"""Runs of the report, and of its quick form."""
+FIRST_SEED = 10_000
+"""Seeds below were used to choose the thresholds; those of the report were not."""
+OK = "ok"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run beside its twins."""
+
+    seed: int
+    share: float
+    """Time step over the predicted stable one."""
+    tension: float
+    """[N]"""
+    splitting: str
+    layout: str
+    n_substeps: int
+    verdict: str
+    """right, between, wrong: compared with the twin to the end; collapsed: the twin failed."""
+    forked: bool
+    """Whether the truth ended in a fork, and the comparison with it."""
+    n_compared: int
+    """Control steps that were compared."""
+    status: str
+    """How the run ended, "ok" or the check that stopped it."""
+    place: str
+    delay: int | None
+    """Control steps from the first wrong state (or the twin's failure) to the flag: 0 is the same; None: no flag."""
+    deviation: float
+    """Largest distance of a node from its twin's place [height], the refused state included."""
+    delivered: float
+    """The same, of the states that passed the checks."""
+    twin_status: str
+    residual: float
+    """Most energy from nowhere in a control step over the energy at stake, in the run; and in its twin."""
+    twin_residual: float
+    least_dilatation: float
+    largest_gap: float
+    """Over the gap at which a joint is torn."""
+
+
+def draw(seed: int) -> tuple[LatticeDesign, str, Splitting, float]:
+    """Design, layout, splitting, and step over the predicted stable one."""
+    rng = np.random.default_rng(seed)
+    while True:
+        n_pairs, period_ratio = ((3, 1.5), (4, 2.0), (6, 1.5))[rng.integers(3)]
+        values: dict[str, Any] = {
+            "n_pairs": n_pairs,
+            "period_ratio": period_ratio,
+            "elements_per_segment": int(rng.integers(2, 7)),
+            "structure_youngs_modulus": 70e3 * _log_uniform(rng, 0.3, 10.0),
+            "muscle_youngs_modulus": 25e3 * _log_uniform(rng, 0.3, 10.0),
+            "joint_stiffness": 100.0 * _log_uniform(rng, 0.3, 100.0),
+            "structure_radius": 5e-3 * _log_uniform(rng, 0.5, 1.5),
+            "muscle_radius": 5e-3 * _log_uniform(rng, 0.5, 1.5),
+            "damping": 0.03 * _log_uniform(rng, 0.1, 10.0) if rng.random() < 0.8 else 0.0,
+            "base": "clamped" if rng.random() < 0.7 else "free",
+            "muscle_model": "rod" if rng.random() < 0.7 else "line",
+            "max_tension": _log_uniform(rng, 0.1, 10.0),
+        }
+        layout = LAYOUTS[rng.integers(len(LAYOUTS))]
+        splitting: Splitting = get_args(Splitting)[rng.integers(2)]
+        share = float(rng.uniform(0.3, 1.5))
+        try:
+            return LatticeDesign(**values), layout, splitting, share
+        except ValueError:  # too thick for its lattice: draw again
+            continue
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def tensions(design: LatticeDesign, n_muscle: int, control_dt: float, seed: int) -> list[FloatArray]:
+    """Ramps (2, n_muscle) of `N_CONTROL` + 1 control steps of random muscles switched fully on and off [N]."""
+    rng = np.random.default_rng((seed, 1))
+    activation, ramps = np.zeros(n_muscle), []
+    for _ in range(N_CONTROL + 1):
+        command = (rng.random(n_muscle) < 0.5).astype(float)
+        after = advance_activation(activation, command, control_dt, design.rise_time, design.decay_time)
+        ramps.append(design.max_tension * np.stack([activation, after]))
+        activation = after
+    return ramps
+
+
+def _advance_twin(twin: Engine, ramp: FloatArray, n_substeps: int) -> Health:
+    """Advance by the run's substeps. The energy check is not the twin's to fail: it is what is judged here."""
+    health = twin.advance(ramp, TWIN * n_substeps)
+    return Health() if health.status is Status.ENERGY else health
+
+
+def _distance(a: Engine, b: Engine, height: float) -> float:
+    """Largest distance between two engines' nodes [height]; infinite where a place is not finite."""
+    with np.errstate(all="ignore"):
+        apart = float(np.linalg.norm(a.state.position - b.state.position, axis=1).max()) / height
+    return apart if math.isfinite(apart) else math.inf
+
+
+def _share_from_nowhere(engine: Engine) -> float:
+    """Energy from nowhere over the energy at stake, in the last control step."""
+    ledger = engine.ledger
+    return 0.0 if ledger is None else max(0.0, -ledger.residual) / ledger.scale if ledger.scale > 0.0 else 0.0
+
+
+def compare(seed: int) -> Run:
+    """Take one seeded run and its twins as far as there is a truth."""
+    design, layout, splitting, share = draw(seed)
+    lattice: Lattice = build_lattice(design)
+    model: RodModel = build_model(lattice, named_layout(layout, lattice))
+    step = share * stable_dt(model, design.max_tension, splitting)
+    n_substeps = min(max(1, math.ceil(CONTROL_DT / step)), MAX_SUBSTEPS)
+    control_dt = min(CONTROL_DT, n_substeps * step)
+    dt = control_dt / n_substeps
+    run = make_engine("fused", model, dt, splitting, energy_check=True)
+    twin, other = (make_engine("fused", model, dt / TWIN, splitting, energy_check=True) for _ in range(2))
+    ramps = tensions(design, model.n_muscle, control_dt, seed)
+    noise = 1.0 + FORK_TENSION * np.random.default_rng((seed, 2)).uniform(-1.0, 1.0, model.n_muscle)
+    reach = joint_reach(model)
+
+    health = twin_health = Health()
+    deviation = delivered = residual = twin_residual = largest_gap = 0.0
+    least, forked, n_compared = math.inf, False, 0
+    wrong_at: int | None = None
+    flagged_at: int | None = None
+    for k in range(N_CONTROL):
+        twin_health = _advance_twin(twin, ramps[k], n_substeps)
+        other_health = _advance_twin(other, noise * ramps[k], n_substeps)
+        forked = twin_health.ok and (not other_health.ok or _distance(twin, other, design.height) > RIGHT)
+        if forked:
+            break
+        now_health = run.advance(ramps[k], n_substeps)
+        if health.ok:
+            health = now_health
+        n_compared += 1
+        now = _distance(run, twin, design.height)
+        finite = now_health.ok or now_health.status is Status.ENERGY
+        if finite:
+            residual = max(residual, _share_from_nowhere(run))
+        if twin_health.ok:
+            twin_residual = max(twin_residual, _share_from_nowhere(twin))
+            deviation = max(deviation, now)
+            if now > WRONG and wrong_at is None:
+                wrong_at = k
+        else:
+            wrong_at = k if wrong_at is None else wrong_at
+        if not health.ok and flagged_at is None:
+            flagged_at = k
+        if not finite:
+            if twin_health.ok:  # it may fail one step later
+                twin_health = _advance_twin(twin, ramps[k + 1], n_substeps)
+            break
+        delivered = max(delivered, now) if twin_health.ok and health.ok else delivered
+        position = run.state.position
+        least = min(least, float(dilatation(model, position).min()))
+        largest_gap = max(largest_gap, _gap_share(model, position, reach))
+        if not twin_health.ok:
+            if health.ok and not (health := run.advance(ramps[k + 1], n_substeps)).ok:
+                flagged_at = k + 1
+            break
+    if not twin_health.ok and deviation <= WRONG:
+        verdict = "collapsed"
+        wrong_at = flagged_at if wrong_at is None else wrong_at
+    else:
+        verdict = "right" if deviation <= RIGHT else "between" if deviation <= WRONG else "wrong"
+    return Run(
+        seed=seed,
+        share=dt / (step / share),
+        tension=design.max_tension,
+        splitting=splitting,
+        layout=layout,
+        n_substeps=n_substeps,
+        verdict=verdict,
+        forked=forked,
+        n_compared=n_compared,
+        status=OK if health.ok else health.status.name.lower(),
+        place="" if health.ok else str(health),
+        delay=None if flagged_at is None or wrong_at is None else flagged_at - wrong_at,
+        deviation=deviation,
+        delivered=delivered,
+        twin_status=OK if twin_health.ok else twin_health.status.name.lower(),
+        residual=residual,
+        twin_residual=twin_residual,
+        least_dilatation=least,
+        largest_gap=largest_gap,
+    )
+
+
+def _gap_share(model: RodModel, position: FloatArray, reach: FloatArray) -> float:
+    offset = model.node_offset
+    a = [offset[joint.rod_a] + joint.node_a for joint in model.joints]
+    b = [offset[joint.rod_b] + joint.node_b for joint in model.joints]
+    return float((np.linalg.norm(position[b] - position[a], axis=1) / reach).max())
+
+
+def count(runs: Sequence[Run]) -> dict[str, dict[str, int]]:
+    """Count runs by verdict: flagged in the control step in which they go wrong, in the next, later or never."""
+    rows = {}
+    for verdict in ("right", "between", "wrong", "collapsed"):
+        chosen = [run for run in runs if run.verdict == verdict]
+        delays = [0 if verdict in ("right", "between") and run.status != OK else run.delay for run in chosen]
+        rows[verdict] = {
+            "runs": len(chosen),
+            "forked": sum(run.forked for run in chosen),
+            "flagged at once": sum(delay is not None and delay <= 0 for delay in delays),
+            "one step later": sum(delay == 1 for delay in delays),
+            "later": sum(delay is not None and delay > 1 for delay in delays),
+            "not flagged": sum(delay is None for delay in delays),
+        }
+    return rows
+
+
+def held(rows: dict[str, dict[str, int]]) -> bool:
+    """Whether every wrong run and every collapse was flagged within one control step, and no right run ever."""
+    caught = all(rows[v]["not flagged"] + rows[v]["later"] == 0 for v in ("wrong", "collapsed"))
+    return caught and rows["right"]["not flagged"] == rows["right"]["runs"]
+
+
+def report(folder: Path, *, command: str, quick: bool = False) -> bool:
+    """Write divergence.md, divergence.json and divergence.png; returns whether all was as it should be."""
+    total, start, said = QUICK if quick else FULL, time.perf_counter(), 0.0
+    runs: list[Run] = []
+    for k in range(total):
+        runs.append(compare(FIRST_SEED + k))
+        if (now := time.perf_counter() - start) - said > REPORT_EVERY:
+            said = now
+            sys.stderr.write(f"divergence: {k + 1} of {total} runs, {now:.0f} s\n")
+    rows = count(runs)
+    right = [run for run in runs if run.verdict == "right"]
+    wrong = [run for run in runs if run.verdict == "wrong"]
+    missed = [run for run in wrong if run.status == OK] + [run for run in right if run.status != OK]
+    made = provenance(command)
+    result: dict[str, Any] = {
+        "counts": rows,
+        "counts_by_splitting": {name: count([r for r in runs if r.splitting == name]) for name in get_args(Splitting)},
+        "held": held(rows),
+        "checks": Counter(run.status for run in wrong),
+        "largest_residual_of_right_runs": max((run.residual for run in right), default=0.0),
+        "largest_residual_of_twins": max((run.twin_residual for run in runs), default=0.0),
+        "runs": [asdict(run) | {"deviation": min(run.deviation, 1e300)} for run in runs],
+        "made": made,
+    }
+    names = {
+        "right": f"right: never more than {RIGHT:.0%} of the height from the run at dt/{TWIN}",
+        "between": f"between {RIGHT:.0%} and {WRONG:.0%}",
+        "wrong": f"wrong: more than {WRONG:.0%}",
+        "collapsed": f"collapsed: the run at dt/{TWIN} is flagged, too",
+    }
+    header = ["damping", "deviation", *next(iter(rows.values()))]
+    split = {name: count([run for run in runs if run.splitting == name]) for name in get_args(Splitting)}
+    checks = ", ".join(f"{name} {number}" for name, number in result["checks"].most_common())
+    tables = [
+        f"{total} random worms with random muscles switched on and off, at 0.3 to 1.5 of the predicted stable step and "
+        f"0.1 to 10 N, beside themselves at dt/{TWIN}:",
+        table(
+            header,
+            [
+                [splitting, names[verdict], *map(str, row.values())]
+                for splitting, of_splitting in split.items()
+                for verdict, row in of_splitting.items()
+            ],
+        ),
+        f"What stopped the wrong runs: {checks or 'nothing, there were none'}. Forked runs are compared until a change "
+        f"of {FORK_TENSION:.1%} in the tensions moves their twin by {RIGHT:.0%} of the height.",
+        f"Energy from nowhere in one control step, over the energy at stake: at most "
+        f"{result['largest_residual_of_right_runs']:.1%} in right runs, "
+        f"{float(np.median([run.residual for run in right] or [0.0])):.2%} in their median; flagged above "
+        f"{ENERGY_TOLERANCE:.0%}.",
+    ]
+    if missed:
+        tables.append("Misjudged:")
+        tables.append(
+            table(
+                ["seed", "damping", "step/predicted", "tension", "verdict", "status", "deviation", "residual"],
+                [
+                    [
+                        *(str(run.seed), run.splitting, f"{run.share:.2f}", f"{run.tension:.2f} N"),
+                        *(run.verdict, run.status, f"{run.deviation:.3f}", f"{run.residual:.1%}"),
+                    ]
+                    for run in missed
+                ],
+            )
+        )  # fmt: skip
+    write(folder, "divergence", result, tables)
+    _draw(runs, folder / "divergence.png", command)
+    return bool(result["held"])
+
+
+def _draw(runs: Sequence[Run], path: Path, command: str) -> None:
+    """Deviation over the step, and energy from nowhere over the deviation; a colour for each way to end."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    colours = {OK: "#9aa5b1", "non_finite": "#1b1b1b", "overstretched": "#c1443c", "inverted": "#e39b3b",
+               "torn": "#3b78b5", "energy": "#6a3d9a"}  # fmt: skip
+    markers = {"right": "o", "between": "o", "wrong": "o", "collapsed": "s"}
+    top, least = 10.0, 1e-7
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for run in runs:
+        y = min(max(run.deviation, least), top)
+        style: dict[str, Any] = {"marker": markers[run.verdict], "ms": 4.5, "mec": "white", "mew": 0.4}
+        left.plot(run.share, y, color=colours[run.status], **style)
+        right.plot(y, min(max(run.residual, 1e-6), 1.0), color=colours[run.status], **style)
+    for level, text in ((RIGHT, "right below"), (WRONG, "wrong above")):
+        left.axhline(level, color="#555555", lw=0.8, ls="--")
+        left.annotate(text, (1.51, level), fontsize=8, va="bottom", ha="right", color="#555555")
+        right.axvline(level, color="#555555", lw=0.8, ls="--")
+    right.axhline(ENERGY_TOLERANCE, color=colours["energy"], lw=0.8, ls="--")
+    right.annotate(
+        "energy check flags above", (least, ENERGY_TOLERANCE), fontsize=8, va="bottom", color=colours["energy"]
+    )
+    left.set(yscale="log", xlabel="time step over the predicted stable one", ylim=(least / 2, 2.0 * top))
+    left.set_ylabel(f"largest distance from the run at dt/{TWIN} [height]\n(top: 10 and more, or not finite)")
+    right.set(xscale="log", yscale="log", xlim=(least / 2, 2.0 * top), ylim=(5e-7, 2.0))
+    right.set_xlabel(f"largest distance from the run at dt/{TWIN} [height]")
+    right.set_ylabel("energy from nowhere in a control step\nover the energy at stake, before any other flag")
+    ends = [status for status in colours if any(run.status == status for run in runs)]
+    handles = [Line2D([], [], ls="", marker="o", color=colours[end], label=end.replace("_", " ")) for end in ends]
+    handles.append(Line2D([], [], ls="", marker="s", color="#777777", label="dt/8 flagged, too"))
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), fontsize=9, frameon=False)
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(color="#e6e6e6", lw=0.5)
+        axes.set_axisbelow(True)
+    figure.savefig(path, dpi=150, metadata={"Description": command})

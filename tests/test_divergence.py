@@ -1,0 +1,54 @@
+"""The divergence report: what it counts, and that it judges runs as it says."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from lattice_gym.reports import divergence
+from lattice_gym.reports.__main__ import main
+from lattice_gym.reports.divergence import FIRST_SEED, WRONG, Run, compare, count, held
+
+
+def _run(verdict: str, status: str, delay: int | None) -> Run:
+    return replace(compare(FIRST_SEED), verdict=verdict, status=status, delay=delay, forked=False)
+
+
+def test_counting() -> None:
+    """A missed wrong run, a late flag and a false alarm each spoil the result; a flag before the harm does not."""
+    good = [_run("right", "ok", None), _run("wrong", "energy", -1), _run("wrong", "torn", 1)]
+    good += [_run("collapsed", "inverted", 0), _run("between", "inverted", None), _run("between", "ok", None)]
+    rows = count(good)
+    assert held(rows)
+    assert rows["wrong"] == {
+        "runs": 2, "forked": 0, "flagged at once": 1, "one step later": 1, "later": 0, "not flagged": 0,
+    }  # fmt: skip
+    for bad in (("right", "torn", None), ("wrong", "ok", None), ("wrong", "torn", 2), ("collapsed", "ok", None)):
+        assert not held(count([*good, _run(*bad)]))
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(0.4, "right"), (3.0, "wrong")])
+def test_runs_are_judged_by_their_twins(monkeypatch: pytest.MonkeyPatch, share: float, verdict: str) -> None:
+    """One worm with a fine step and with one far too large."""
+    design, layout, splitting, _ = divergence.draw(FIRST_SEED)
+    monkeypatch.setattr(divergence, "draw", lambda seed: (replace(design, max_tension=0.2), layout, splitting, share))
+    run = compare(FIRST_SEED)
+    assert run.verdict == verdict
+    assert (run.status == "ok") == (verdict == "right")
+    assert run.delay == (None if verdict == "right" else 0)
+    assert (run.deviation > WRONG) == (verdict == "wrong")
+
+
+def test_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """It writes table, numbers and figure, and its exit status says what they show."""
+    monkeypatch.setattr(divergence, "QUICK", 4)
+    status = main(["--out", str(tmp_path), "divergence", "--quick"])
+    result = json.loads((tmp_path / "divergence.json").read_text())
+    assert status == (0 if result["held"] else 1)
+    assert [run["seed"] for run in result["runs"]] == [FIRST_SEED + k for k in range(4)]
+    assert sum(row["runs"] for row in result["counts"].values()) == 4
+    assert capsys.readouterr().out == (tmp_path / "divergence.md").read_text()
+    assert (tmp_path / "divergence.png").read_bytes()[1:4] == b"PNG"
