@@ -141,77 +141,58 @@ def _whole(degrees: float) -> int:
     return round(degrees) % 360
 
 
-def _strain_caption(lattice: Lattice, position: FloatArray) -> str:
-    return f"strain {100.0 * strain(lattice, position):+.1f} %"
-
-
 def _check_base(lattice: Lattice) -> None:
     """Refuse a free body whose base cannot tell how it is tilted."""
     base_frame(lattice, lattice.position.reshape(-1, 3))
 
 
+class _AxialTask(Task):
+    """Change the body's length: the reward is the strain times a sign."""
+
+    term_names = ("strain", "effort")
+    sign: ClassVar[float]
+    """What longer is worth."""
+
+    def __init__(self, lattice: Lattice, control_dt: float, command: Mapping[str, float] | None = None) -> None:
+        _check_base(lattice)
+        super().__init__(lattice, control_dt, command)
+
+    def observe(self, time: float) -> FloatArray:
+        """Nothing is commanded."""
+        return np.empty(0)
+
+    def terms(self, position: FloatArray, activation: FloatArray, time: float) -> dict[str, float]:
+        """Strain, positive where it is asked for, and effort."""
+        return {"strain": self.sign * strain(self.lattice, position), "effort": _effort(activation)}
+
+    def outcome(self, position: FloatArray) -> dict[str, float]:
+        """Strain, positive when longer."""
+        return {"strain": strain(self.lattice, position)}
+
+    def caption(self, position: FloatArray) -> str:
+        """Strain in per cent."""
+        return f"strain {100.0 * strain(self.lattice, position):+.1f} %"
+
+    def _commands(self) -> dict[str, Command]:
+        return {}
+
+
 @final
-class Extension(Task):
+class Extension(_AxialTask):
     """Grow longer: the reward is the strain."""
 
     name = "extension"
     layout = "extension"
-    term_names = ("strain", "effort")
-
-    def __init__(self, lattice: Lattice, control_dt: float, command: Mapping[str, float] | None = None) -> None:
-        _check_base(lattice)
-        super().__init__(lattice, control_dt, command)
-
-    def observe(self, time: float) -> FloatArray:
-        """Nothing is commanded."""
-        return np.empty(0)
-
-    def terms(self, position: FloatArray, activation: FloatArray, time: float) -> dict[str, float]:
-        """Strain and effort."""
-        return {"strain": strain(self.lattice, position), "effort": _effort(activation)}
-
-    def outcome(self, position: FloatArray) -> dict[str, float]:
-        """Strain."""
-        return {"strain": strain(self.lattice, position)}
-
-    def caption(self, position: FloatArray) -> str:
-        """Strain in per cent."""
-        return _strain_caption(self.lattice, position)
-
-    def _commands(self) -> dict[str, Command]:
-        return {}
+    sign = 1.0
 
 
 @final
-class Compression(Task):
+class Compression(_AxialTask):
     """Grow shorter: the reward is the strain with its sign turned."""
 
     name = "compression"
     layout = "compression"
-    term_names = ("strain", "effort")
-
-    def __init__(self, lattice: Lattice, control_dt: float, command: Mapping[str, float] | None = None) -> None:
-        _check_base(lattice)
-        super().__init__(lattice, control_dt, command)
-
-    def observe(self, time: float) -> FloatArray:
-        """Nothing is commanded."""
-        return np.empty(0)
-
-    def terms(self, position: FloatArray, activation: FloatArray, time: float) -> dict[str, float]:
-        """Strain, positive when shorter, and effort."""
-        return {"strain": -strain(self.lattice, position), "effort": _effort(activation)}
-
-    def outcome(self, position: FloatArray) -> dict[str, float]:
-        """Strain, negative when shorter."""
-        return {"strain": strain(self.lattice, position)}
-
-    def caption(self, position: FloatArray) -> str:
-        """Strain in per cent."""
-        return _strain_caption(self.lattice, position)
-
-    def _commands(self) -> dict[str, Command]:
-        return {}
+    sign = -1.0
 
 
 @final
