@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import gymnasium
 import numpy as np
@@ -141,10 +141,11 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ## Episode end
 
     `terminated` only where the physics diverges: a state that is not finite, an element inverted or over-stretched, a
-    joint torn or, with `energy_check`, energy from nowhere (see `engines.Status`). Then `info["status"]` names what and
-    where, by rod and element, and the observation is the last sound one, again; `time` is that of the control step that
-    failed. The penalty exceeds what lies between the best and the worst episode of registered length in any task, so
-    none that ends well is worth less. The environment never truncates itself: the time limit is registered.
+    joint torn or, where asked for, energy from nowhere (`energy_check`) or too long a step (`step_check`); see
+    `engines.Status`. Then `info["status"]` names what and where, by rod and element, and the observation is the last
+    sound one, again; `time` is that of the control step that failed. The penalty exceeds what lies between the best and
+    the worst episode of registered length in any task, so none that ends well is worth less. The environment never
+    truncates itself: the time limit is registered.
 
     ## Info
 
@@ -167,14 +168,14 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     | `fidelity` | elements per segment | `splitting` | error of strain, bend, rings | return | cost |
     |---|---|---|---|---|---|
-    | "fast" | 2 | "symmetric" | 4 %, 4 %, 9 % | -2.3 % (-3.6 %) | 10 ms |
-    | "default" | the design's (here 5) | "pyelastica" | 1.6 %, 2.0 %, 3.1 % | -0.7 % (-1.0 %) | 30 ms |
-    | "fine" | 16 | "symmetric" | 0.4 %, 0.6 %, 0.9 % | 0 | 270 ms |
+    | "fast" | at most 2 | "symmetric" | 4 %, 4 %, 9 % | -2.3 % (-3.6 %) | 8 ms |
+    | "default" | the design's (here 5) | "symmetric" | 1.3 %, 1.7 %, 3.1 % | -0.6 % (-0.9 %) | 30 ms |
+    | "fine" | at least 16 | "symmetric" | 0.4 %, 0.5 %, 0.9 % | 0 | 200 ms |
 
     Errors are the largest at any time, over the largest change, against vanishing elements. Of them the time step makes
-    0.01 % or less with "symmetric", up to 0.4 % with "pyelastica". The return is that of a hand-made gait over an
-    episode, against "fine": mean over the tasks (and worst). The cost is computing per simulated second on the fused
-    engine. `python -m lattice_gym.reports work-precision` measured all of it, on the default design.
+    0.01 % or less with "symmetric". The return is that of a hand-made gait over an episode, against "fine": mean over
+    the tasks (and worst). The cost is computing per simulated second on the fused engine.
+    `python -m lattice_gym.reports work-precision` measured all of it, on the default design.
 
     Train on "fast", which is three times cheaper than "default", and measure what is to be reported on "default" or
     "fine": sites, and so observations, are the same on all. With `observation="nodes"` they are not. A mesh that a
@@ -195,8 +196,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     fidelity
         "fast", "default" or "fine": mesh and damping, see above.
     splitting
-        When velocities are damped: "symmetric", half before and half after the kick (second order in `dt`, fused
-        engine only), or "pyelastica", all of it after (first order); None: as the fidelity says.
+        When velocities are damped: "symmetric", all along the kick (second order in `dt`, fused engine only), or
+        "pyelastica", all of it after (first order); None: as the fidelity says, or as the pyelastica engine must.
     engine
         "fused" or "pyelastica".
     dt
@@ -206,6 +207,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         Take a `dt` above the predicted stable step.
     energy_check
         Draw up the energy ledger of every control step and end an episode where energy came from nowhere.
+    step_check
+        Take a run at half the step along and end an episode where it leads elsewhere, by more than
+        `engines.STEP_TOLERANCE` of the height: the one check that also catches a run which goes astray smoothly, as
+        near a snap. Three times the computing. A pickled environment begins the comparison anew.
     control_dt
         Time between actions [s].
     observation
@@ -242,6 +247,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         dt: float | None = None,
         allow_large_dt: bool = False,
         energy_check: bool = False,
+        step_check: bool = False,
         control_dt: float = 0.05,
         observation: str = "sites",
         command: Mapping[str, float] | None = None,
@@ -249,26 +255,28 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ) -> None:
         _check_choice("task", task, tuple(TASKS))
         _check_choice("observation", observation, OBSERVATIONS)
+        _check_choice("engine", engine, get_args(EngineName))
         if render_mode is not None:
             _check_choice("render_mode", render_mode, tuple(METADATA["render_modes"]))
         self.control_dt = _number("control_dt", control_dt, SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT, "s")
         self.rhythm = None if rhythm is None else _number("rhythm", rhythm, 0.0, 0.5 / self.control_dt, "Hz")
         preset = named_fidelity(fidelity)
-        self.design = preset.refine(_design(design))
+        self.design = preset.remesh(_design(design))
         self.lattice = build_lattice(self.design)
         self.layout = resolve_layout(TASKS[task].layout if muscles is None else muscles, self.lattice)
         self.groups = control_groups(control, self.layout, self.lattice)
         self.task = make_task(task, self.lattice, self.control_dt, command)
         self.model = build_model(self.lattice, self.layout)
-        self.splitting: Splitting = preset.splitting if splitting is None else splitting
+        preferred: Splitting = "pyelastica" if engine == "pyelastica" else preset.splitting
+        self.splitting: Splitting = preferred if splitting is None else splitting
         self.n_substeps, self.dt = self._substeps(dt, allow_large_dt)
         self.engine_name = engine
-        self.energy_check = energy_check
+        self.energy_check, self.step_check = energy_check, step_check
         self.observation = observation
         self.render_mode = render_mode
         self.metadata = {**METADATA, "render_fps": 1.0 / self.control_dt}
         self._renderer: Renderer | None = None
-        self._engine: Engine = make_engine(engine, self.model, self.dt, self.splitting, energy_check=energy_check)
+        self._engine: Engine = self._make_engine()
 
         self._point_nodes = _observed_nodes(self.model, self.lattice, observation)
         self._rest_points = self.model.rest_state().position[self._point_nodes].mean(axis=1)
@@ -362,10 +370,11 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """Go on exactly from where the pickled environment stood."""
         vars(self).update(state)
         self._renderer = None
-        self._engine = make_engine(
-            self.engine_name, self.model, self.dt, self.splitting, energy_check=self.energy_check
-        )
+        self._engine = self._make_engine()
         self._engine.restore(self._state)
+
+    def _make_engine(self) -> Engine:
+        return make_engine(self.engine_name, self.model, self.dt, self.splitting, self.energy_check, self.step_check)
 
     def _substeps(self, dt: object, allow_large_dt: object) -> tuple[int, float]:
         """Physics steps in a control step, and their length [s]."""

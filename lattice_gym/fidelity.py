@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
-from lattice_gym.design import LatticeDesign
+from lattice_gym.design import MAX_ELEMENTS, LatticeDesign
 from lattice_gym.engines import Splitting
 
 FidelityName = Literal["fast", "default", "fine"]
@@ -18,25 +18,26 @@ FidelityName = Literal["fast", "default", "fine"]
 class Fidelity:
     """What a fidelity sets."""
 
-    elements_per_segment: int | None
-    """None: as the design says."""
     splitting: Splitting
+    fewest: int = 1
+    """Elements per segment at least; a coarser design is refined to it."""
+    most: int = MAX_ELEMENTS
+    """Elements per segment at most; a finer design is coarsened to it."""
 
-    def refine(self, design: LatticeDesign) -> LatticeDesign:
+    def remesh(self, design: LatticeDesign) -> LatticeDesign:
         """Design on this fidelity's mesh, with the damping per length that it has on its own."""
-        if self.elements_per_segment in (None, design.elements_per_segment):
+        mesh = min(max(design.elements_per_segment, self.fewest), self.most)
+        if mesh == design.elements_per_segment:
             return design
         return replace(
-            design,
-            elements_per_segment=self.elements_per_segment,
-            damping_mesh=design.damping_mesh or design.elements_per_segment,
+            design, elements_per_segment=mesh, damping_mesh=design.damping_mesh or design.elements_per_segment
         )
 
 
 FIDELITIES: dict[FidelityName, Fidelity] = {
-    "fast": Fidelity(2, "symmetric"),
-    "default": Fidelity(None, "pyelastica"),
-    "fine": Fidelity(16, "symmetric"),
+    "fast": Fidelity("symmetric", most=2),
+    "default": Fidelity("symmetric"),
+    "fine": Fidelity("symmetric", fewest=16),
 }
 """Every fidelity by name."""
 

@@ -258,8 +258,8 @@ def _phase_slope(values: npt.NDArray[np.complex128], at: FloatArray) -> float:
 
 def joint_gap(model: RodModel, position: FloatArray) -> float:
     """Largest distance between two nodes that a joint holds together [m]; 0 without joints."""
-    nodes = model.joint_nodes
-    gap = np.linalg.norm(position[nodes[:, 0]] - position[nodes[:, 1]], axis=1)
+    first, second = model.tie_nodes(model.joints)
+    gap = np.linalg.norm(position[first] - position[second], axis=1)
     return float(gap.max(initial=0.0))
 
 

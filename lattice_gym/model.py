@@ -7,7 +7,7 @@ rod or two joined rods are built from the same parts. Symbols follow Gazzola et 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Integral
@@ -345,7 +345,8 @@ class RodModel:
     Raises
     ------
     ValueError
-        No rod, an index that no rod, node or element has, a joint of a node with itself, a negative stiffness.
+        No rod, an index that no rod, node or element has, a joint of a node with itself, a line between two ends at one
+        place, a negative stiffness.
     """
 
     rods: tuple[Rod, ...]
@@ -377,6 +378,7 @@ class RodModel:
                 _number(f"lines[{k}].{name}", getattr(line, name), above=name == "rest_length")
             stiff = finite_number(float(line.stiffness) / float(line.rest_length)) is not None
             _require(stiff, f"lines[{k}].rest_length = {line.rest_length}: far too short for its stiffness")
+            self._check_direction(f"lines[{k}]", line)
         for k, clamp in enumerate(self.clamps):
             held = clamp.node is not None or clamp.element is not None
             _require(held, f"clamps[{k}]: holds neither node nor element")
@@ -398,6 +400,14 @@ class RodModel:
         count, part = self.rods[rod].n_elem + extra, "nodes" if extra else "elements"
         if whole_number(index) is None or not 0 <= index < count:
             raise ValueError(f"{name}: rod {rod} has {count} {part}, no number {shown(index)}")
+
+    def _check_direction(self, name: str, line: Line) -> None:
+        """Refuse a line whose direction at rest is lost in rounding."""
+        a, b = self.rods[line.rod_a].position[line.node_a], self.rods[line.rod_b].position[line.node_b]
+        with np.errstate(all="ignore"):
+            length = math.sqrt(np.sum((b - a) ** 2))
+        apart = _FRAME_TOLERANCE * float(line.rest_length) < length < math.inf
+        _require(apart, f"{name}: its two ends lie at one place at rest, or too far apart")
 
     @property
     def n_rod(self) -> int:
@@ -421,9 +431,9 @@ class RodModel:
 
     def _with_lines(self, of_rods: list[FloatArray], name: str) -> FloatArray:
         total = np.concatenate(of_rods)
-        for line in self.lines:
-            for rod, node in ((line.rod_a, line.node_a), (line.rod_b, line.node_b)):
-                total[self.node_offset[rod] + node] += 0.5 * getattr(line, name)
+        half = np.array([0.5 * getattr(line, name) for line in self.lines])
+        for rows in self.tie_nodes(self.lines):
+            np.add.at(total, rows, half)
         return total
 
     @cached_property
@@ -446,12 +456,12 @@ class RodModel:
         """Number of elements of all rods."""
         return int(self.element_offset[-1])
 
-    @cached_property
-    def joint_nodes(self) -> IntArray:
-        """Rows of the two nodes of every joint, shape (n_joint, 2)."""
+    def tie_nodes(self, ties: Sequence[Joint | Line]) -> tuple[IntArray, IntArray]:
+        """Rows of the first and of the second node of joints or lines, shape (n_tie,) each."""
         offset = self.node_offset.tolist()
-        ends = [(offset[j.rod_a] + j.node_a, offset[j.rod_b] + j.node_b) for j in self.joints]
-        return np.array(ends, dtype=np.int64).reshape(-1, 2)
+        first = [offset[tie.rod_a] + tie.node_a for tie in ties]
+        second = [offset[tie.rod_b] + tie.node_b for tie in ties]
+        return np.array(first, dtype=np.int64), np.array(second, dtype=np.int64)
 
     def nodes(self, rod: int) -> slice:
         """Rows of a rod's nodes."""
@@ -508,6 +518,8 @@ class RodState:
         )
         skew = np.abs(self.directors @ self.directors.transpose(0, 2, 1) - np.eye(3)).max()
         _require(bool(skew < _DRIFT_TOLERANCE), "RodState.directors: must be orthonormal")
+        right_handed = bool((np.linalg.det(self.directors) > 0.0).all())
+        _require(right_handed, "RodState.directors: must be right-handed")
         for clamp in model.clamps:
             rod = model.rods[clamp.rod]
             if clamp.node is not None:

@@ -272,23 +272,6 @@ def test_refused_input(engine_name: EngineName, lattice: Lattice) -> None:
         engine.restore(replace(state, position=state.position + 1e-3))
 
 
-def test_splittings_differ_by_their_order_alone(lattice: Lattice) -> None:
-    """Damping split about the kick leaves an error that falls as dt^2; PyElastica's, after the kick, one as dt."""
-    model = build_model(lattice, named_layout("extension", lattice))
-    tension = np.full(model.n_muscle, 0.2)
-
-    def end(splitting: Splitting, steps: int) -> FloatArray:
-        engine = make_engine("fused", model, 0.02 / steps, splitting)
-        assert engine.advance(tension, steps).ok
-        return engine.state.position
-
-    truth = end("symmetric", 2560)
-    counts = np.array([80, 160, 320])
-    for splitting, order in (("symmetric", 2.0), ("pyelastica", 1.0)):
-        errors = [np.abs(end(cast(Splitting, splitting), steps) - truth).max() for steps in counts]
-        assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(order, abs=0.15), splitting
-
-
 def test_splittings_are_checked(lattice: Lattice) -> None:
     """The reference damps as PyElastica does and in no other way; an unknown splitting is refused."""
     model = build_model(lattice, named_layout("extension", lattice))

@@ -89,6 +89,8 @@ def test_refused_rods(change: dict[str, object], name: str) -> None:
         ({"clamps": (Clamp(0),)}, r"clamps\[0\]"),
         ({"muscles": (1, 1)}, "muscles"),
         ({"lines": (Line(0, 0, 1, 9, 1.0, 1.0),)}, r"lines\[0\]"),
+        ({"lines": (Line(0, 0, 1, 1, 1.0, 1.0), Line(0, 0, 0, 0, 1.0, 1.0))}, r"lines\[1\]: .* at one place"),
+        ({"lines": (Line(0, 2, 1, 2, 1.0, 1.0),)}, r"lines\[0\]: .* at one place"),
         ({"lines": (Line(0, 0, 1, 1, 0.0, 1.0),)}, r"lines\[0\].rest_length"),
         ({"lines": (Line(0, 0, 1, 1, 1.0, 1.0, mass=np.nan),)}, r"lines\[0\].mass"),
         ({"muscles": (5,)}, r"muscles\[0\]"),
@@ -98,6 +100,35 @@ def test_refused_assemblies(part: dict[str, Any], name: str) -> None:
     """The error names the part."""
     with pytest.raises(ValueError, match=name):
         RodModel(**({"rods": (rod(), rod())} | part))
+
+
+@pytest.mark.parametrize("shift", [1e-15, 1e-200])
+def test_lines_between_places_that_rounding_parts(shift: float) -> None:
+    """Nodes so close that their direction is lost make no line either."""
+    near = replace(rod(), position=rod().position + np.array([0.0, 0.0, shift]))
+    with pytest.raises(ValueError, match=r"lines\[0\]: .* at one place"):
+        RodModel(rods=(rod(), near), lines=(Line(0, 0, 1, 0, 1.0, 1.0),))
+
+
+def test_tie_nodes() -> None:
+    """Rows of nodes over all rods, for joints and for lines, or for none."""
+    joints = (Joint(0, 3, 1, 0, 1.0), Joint(1, 2, 0, 1, 1.0))
+    model = RodModel(rods=(rod(), rod()), joints=joints, lines=(Line(1, 1, 0, 0, 1.0, 1.0),))
+    for ties, ends in ((model.joints, ([3, 6], [4, 1])), (model.lines, ([5], [0])), ((), ([], []))):
+        found = model.tie_nodes(ties)
+        assert tuple(rows.tolist() for rows in found) == ends
+        assert {rows.dtype for rows in found} == {np.dtype(np.int64)}
+
+
+def test_refused_states() -> None:
+    """Frames must be right-handed, not just orthonormal."""
+    model = RodModel(rods=(rod(), rod()))
+    state = model.rest_state()
+    state.check(model)
+    mirrored = state.directors.copy()
+    mirrored[4, 0] *= -1.0
+    with pytest.raises(ValueError, match=r"RodState\.directors: must be right-handed"):
+        replace(state, directors=mirrored).check(model)
 
 
 def test_refused_straight_rods() -> None:

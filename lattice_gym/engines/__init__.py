@@ -20,22 +20,46 @@ from lattice_gym.model import RodModel, RodState
 
 EngineName = Literal["fused", "pyelastica"]
 Splitting = Literal["pyelastica", "symmetric"]
-"""When velocities are damped: once after the kick, as PyElastica does (first order), or half before and half after."""
+"""When velocities are damped: once after the kick, as PyElastica does (first order), or all along it (second order).
+
+"symmetric" solves m v' = F - c v over the step with its force held: a force ends in its true speed F / c, however long
+the step. Damped once after the kick, that speed comes out as x / (exp(x) - 1) of the true one, with x = c dt / m. The
+dashpots of joints take the velocities from before the kick in both, which is first order.
+"""
 
 MIN_DILATATION, MAX_DILATATION = 0.1, 5.0
 """Length over rest length outside which an element counts as over-stretched: linear elasticity ended long before."""
+
+STEP_TOLERANCE = 0.03
+"""Distance of a node from its place in a run at half the step, over the longest side of the assembly at rest, above
+which the step is too long: between the 1 % that counts as right and the 10 % that counts as wrong."""
 
 MAX_STEPS = 2**62
 """What the step counter of the compiled code holds."""
 
 
+def damping_shares(decay: FloatArray, splitting: Splitting) -> tuple[FloatArray, FloatArray]:
+    """Shares of a velocity that damping leaves before and after the kick of a step; decay is c dt / m.
+
+    Together they are exp(-decay). Symmetric: decay / (exp(decay) - 1) before, (1 - exp(-decay)) / decay after.
+    """
+    if splitting == "pyelastica":
+        return np.ones_like(decay), np.exp(-decay)
+    small = decay < 1e-12
+    safe = np.where(small, 1.0, decay)
+    after = np.where(small, 1.0, -np.expm1(-safe) / safe)
+    return np.exp(-decay) / after, after
+
+
 class Status(IntEnum):
     """How a call to `Engine.advance` ended.
 
-    NON_FINITE: a position, velocity or director is NaN or infinite. OVERSTRETCHED: an element is shorter than
+    NON_FINITE: a position, velocity or director is NaN or infinite. OVERSTRETCHED: an element or a line is shorter than
     `MIN_DILATATION` or longer than `MAX_DILATATION` times its rest length. INVERTED: an element points against its d3.
     TORN: two joined nodes are further apart than the radii of their rods reach, see `joint_reach`. ENERGY: more energy
     came from nowhere than the ledger tolerates, see `energy.ENERGY_TOLERANCE`; looked for only with the energy check.
+    INACCURATE: a run at half the step, taken along since the state was last set, is further away than `STEP_TOLERANCE`,
+    or failed itself; looked for only with the step check.
     """
 
     OK = 0
@@ -44,6 +68,7 @@ class Status(IntEnum):
     INVERTED = 3
     TORN = 4
     ENERGY = 5
+    INACCURATE = 6
 
 
 @dataclass(frozen=True)
@@ -83,8 +108,19 @@ def joint_reach(model: RodModel) -> FloatArray:
 
 def torn(model: RodModel, joint: int) -> Health:
     """Health that names a torn joint, by its first rod and the element at its node there."""
-    rod, node = model.joints[joint].rod_a, model.joints[joint].node_a
-    return Health(Status.TORN, rod, min(node, model.rods[rod].n_elem - 1), joint)
+    tie = model.joints[joint]
+    return Health(Status.TORN, tie.rod_a, _element_at(model, tie.rod_a, tie.node_a), joint)
+
+
+def overstretched(model: RodModel, line: int) -> Health:
+    """Health that names the rod and element at the first end of an over-stretched line."""
+    tie = model.lines[line]
+    return Health(Status.OVERSTRETCHED, tie.rod_a, _element_at(model, tie.rod_a, tie.node_a))
+
+
+def _element_at(model: RodModel, rod: int, node: int) -> int:
+    """Element that begins at a node, or the last one."""
+    return min(node, model.rods[rod].n_elem - 1)
 
 
 class Engine(ABC):
@@ -96,6 +132,9 @@ class Engine(ABC):
         self.model = model
         self.dt = step
         self._meter = EnergyMeter(model) if energy_check else None
+        self._shadow: Engine | None = None
+        self._size = float(np.ptp(model.rest_state().position, axis=0).max())
+        self._step_error: float | None = None
         self._before: tuple[RodState, StoredEnergy] | None = None
         self._ledger: Ledger | None = None
 
@@ -114,12 +153,25 @@ class Engine(ABC):
         """
         state.check(self.model)
         self._restore(state)
-        self._before = self._ledger = None
+        if self._shadow is not None:
+            self._shadow.restore(state)
+        self._before = self._ledger = self._step_error = None
 
     @property
     def ledger(self) -> Ledger | None:
-        """Energy over the last call to `advance`; None before the first, after a failure, and without the check."""
+        """Energy over the last call to `advance`, that of one which failed by it included.
+
+        None before the first call, after any other failure, and without the check.
+        """
         return self._ledger
+
+    @property
+    def step_error(self) -> float | None:
+        """Largest distance of a node from a run at half the step, over the longest side at rest.
+
+        None before the first call to `advance`, where either run failed, and without the check.
+        """
+        return self._step_error
 
     def advance(self, tension: npt.ArrayLike, n_substeps: int) -> Health:
         """Advance by n_substeps * dt.
@@ -147,12 +199,34 @@ class Engine(ABC):
         if count is None or not 1 <= count <= MAX_STEPS:
             raise ValueError(f"n_substeps = {shown(n_substeps)}: must be a whole number, at least 1")
         start, end = (pull, pull) if pull.ndim == 1 else pull
-        if self._meter is None:
-            return self._advance(start, end, count)
-        if self._before is None:
+        if self._meter is not None and self._before is None:
             self._before = (state := self.state), self._meter.stored(state)
         health = self._advance(start, end, count)
-        return self._audit(self._meter, *self._before) if health.ok else health
+        self._ledger = None
+        if health.ok and self._meter is not None and self._before is not None:
+            health = self._audit(self._meter, *self._before)
+        if self._shadow is not None:
+            other = self._shadow._advance(start, end, 2 * count)
+            health = self._compared(self._shadow.state.position, other) if health.ok else health
+        return health
+
+    def shadowed(self, shadow: Engine) -> Engine:
+        """Take along an engine of half the step, at the same state, and compare with it after every call."""
+        self._shadow = shadow
+        return self
+
+    def _compared(self, other: FloatArray, health: Health) -> Health:
+        """Judge how far the nodes are from where the engine at half the step has them, which ended in `health`."""
+        self._step_error = None
+        if not health.ok:
+            return replace(health, status=Status.INACCURATE)
+        apart = np.linalg.norm(self.state.position - other, axis=1)
+        node = int(np.argmax(apart))
+        self._step_error = float(apart[node]) / self._size
+        if self._step_error <= STEP_TOLERANCE:
+            return Health()
+        rod = int(np.searchsorted(self.model.node_offset, node, side="right")) - 1
+        return Health(Status.INACCURATE, rod, _element_at(self.model, rod, node - int(self.model.node_offset[rod])))
 
     def _audit(self, meter: EnergyMeter, state: RodState, stored: StoredEnergy) -> Health:
         """Draw up the ledger of a call that began with a state, and judge it."""
@@ -160,7 +234,7 @@ class Engine(ABC):
         held = meter.stored(now)
         work = replace(flow, load_work=flow.load_work + meter.force_work(state, now))
         self._before, self._ledger = (now, held), ledger(stored, held, work, meter.least)
-        if self._ledger.residual < -ENERGY_TOLERANCE * self._ledger.scale:
+        if not self._ledger.residual >= -ENERGY_TOLERANCE * self._ledger.scale:
             return Health(Status.ENERGY, *meter.most(held))
         return Health()
 
@@ -181,19 +255,29 @@ def make_engine(
     dt: float,
     splitting: Splitting = "pyelastica",
     energy_check: bool = False,
+    step_check: bool = False,
 ) -> Engine:
-    """Engine by name. The choice costs its imports only when made; the energy check costs nothing where it is off.
+    """Engine by name. The choice costs its imports only when made; a check costs nothing where it is off.
+
+    The step check takes a second engine along at half the step, and so costs twice the run itself.
 
     Raises
     ------
     ValueError
-        An unknown name or splitting, one that the engine lacks, or dt not positive and finite.
+        An unknown name or splitting, one that the engine lacks, a check that is not a bool, or dt not positive and
+        finite.
     """
     for argument, value, choices in (("engine", name, EngineName), ("splitting", splitting, Splitting)):
         if not isinstance(value, str) or value not in get_args(choices):
             raise ValueError(f"{argument} = {shown(value)}: must be one of {', '.join(get_args(choices))}")
-    if not isinstance(energy_check, bool):
-        raise ValueError(f"energy_check = {shown(energy_check)}: must be True or False")
+    for argument, check in (("energy_check", energy_check), ("step_check", step_check)):
+        if not isinstance(check, bool):
+            raise ValueError(f"{argument} = {shown(check)}: must be True or False")
+    engine = _make_engine(name, model, dt, splitting, energy_check)
+    return engine.shadowed(_make_engine(name, model, 0.5 * engine.dt, splitting, False)) if step_check else engine
+
+
+def _make_engine(name: EngineName, model: RodModel, dt: float, splitting: Splitting, energy_check: bool) -> Engine:
     if name == "fused":
         from lattice_gym.engines.fused import FusedEngine
 

@@ -17,13 +17,16 @@ from lattice_gym.engines import (
     Health,
     Splitting,
     Status,
+    damping_shares,
     joint_reach,
     kernels,
+    overstretched,
     torn,
 )
 from lattice_gym.model import Joint, Line, Rod, RodModel, RodState
 
 _LARGEST_RATE = 300.0
+_CACHE_LINE = 64
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,13 @@ def _place(model: RodModel) -> _Placement:
             n_cell += n_elem + 1
     passive, active = (np.array(bounds[kind], np.int64).reshape(-1, 2) for kind in (False, True))
     return _Placement(rod_cell, rod_lane, passive, active, n_cell)
+
+
+def _aligned(n_cell: int) -> kernels.Cells:
+    """Make records of zeros that begin on a cache line, so that no packed load straddles two."""
+    space = np.zeros(n_cell * kernels.CELL.itemsize + _CACHE_LINE, np.uint8)
+    start = -space.ctypes.data % _CACHE_LINE
+    return space[start : start + n_cell * kernels.CELL.itemsize].view(kernels.CELL)
 
 
 def _fill_lane(cells: kernels.Cells, lane: int, rod: Rod, dt: float) -> None:
@@ -109,18 +119,17 @@ class FusedEngine(Engine):
         self._time = 0.0
 
     def _pack_rods(self) -> kernels.Cells:
-        """All records at rest. A spare lane holds a copy of its block's first rod, unloaded, and stays there."""
-        place, cells = self._place, np.zeros(self._place.n_cell, kernels.CELL)
+        """All records at rest. A spare lane holds a copy of its block's first rod, which neither moves nor turns."""
+        place, cells = self._place, _aligned(self._place.n_cell)
         for start, stop in (*place.passive, *place.active):
             members = np.flatnonzero(place.rod_cell == start).tolist()
             for lane in range(kernels.LANES):
                 rod = self.model.rods[members[lane] if lane < len(members) else members[0]]
                 _fill_lane(cells[start:stop], lane, rod, self.dt)
-        mass, keep = self.model.node_mass, np.exp(-self.model.node_damping / self.model.node_mass * self.dt)
-        cells["keep"][self._node_cell, self._node_lane] = keep
-        cells["push"][self._node_cell, self._node_lane] = self.dt / mass * (np.sqrt(keep) if self._symmetric else keep)
-        if self._symmetric:
-            cells["spin_decay"] *= 0.5
+            cells["free"][start:stop, len(members) :] = 0.0
+        before, after = damping_shares(self._decay(), "symmetric" if self._symmetric else "pyelastica")
+        cells["keep"][self._node_cell, self._node_lane] = before * after
+        cells["push"][self._node_cell, self._node_lane] = self.dt / self.model.node_mass * after
         for clamp in self.model.clamps:
             lane = place.rod_lane[clamp.rod]
             if clamp.node is not None:
@@ -130,18 +139,23 @@ class FusedEngine(Engine):
                 cells["free"][place.cell(clamp.rod, clamp.element), lane] = 0.0
         return cells
 
+    def _decay(self) -> FloatArray:
+        """Rate of damping of every node times the step, shape (n_node,)."""
+        rate: FloatArray = self.model.node_damping / self.model.node_mass * self.dt
+        return rate
+
     def _open_account(self) -> kernels.Account:
         """Account with nothing in it: constants of every node and element by record and lane."""
-        mass, rate = self.model.node_mass, self.model.node_damping / self.model.node_mass * self.dt
-        half = 0.5 if self._symmetric else 1.0
-        loss, before, inertia, length = np.zeros((4, self._place.n_cell, kernels.LANES))
+        mass = self.model.node_mass
+        loss, early, inertia, length = np.zeros((4, self._place.n_cell, kernels.LANES))
         node, element = (self._node_cell, self._node_lane), (self._element_cell, self._element_lane)
         # A rate this large leaves no speed worth counting; without the bound what it left would overflow.
-        loss[node] = 0.5 * mass * np.expm1(2.0 * half * np.minimum(rate, _LARGEST_RATE))
-        if self._symmetric:
-            before[node] = -0.5 * mass * np.expm1(-rate)
+        rate = np.minimum(self._decay(), _LARGEST_RATE)
+        before, after = damping_shares(rate, "symmetric" if self._symmetric else "pyelastica")
+        loss[node] = 0.5 * mass * (1.0 / after**2 - 1.0)
+        early[node] = 0.5 * mass * (1.0 - before**2)
         inertia[element] = np.concatenate([rod.inertia for rod in self.model.rods])
-        return kernels.Account(np.zeros(3), loss, before, inertia, length, np.zeros(len(self.model.lines)))
+        return kernels.Account(np.zeros(3), loss, early, inertia, length, np.zeros(len(self.model.lines)))
 
     def _pack_joints(self) -> tuple[kernels.Joints, FloatArray | None]:
         joints = self.model.joints
@@ -246,10 +260,13 @@ class FusedEngine(Engine):
             MAX_DILATATION,
             self._joints,
             self._reach,
+            self._lines,
         )
         if code == Status.OK:
             return Health()
         if code == Status.TORN:
             return torn(self.model, found)
+        if found >= self.model.n_elem:
+            return overstretched(self.model, found - self.model.n_elem)
         rod = int(np.searchsorted(self.model.element_offset, found, side="right")) - 1
         return Health(Status(code), rod, found - int(self.model.element_offset[rod]))

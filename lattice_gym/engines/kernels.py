@@ -29,13 +29,13 @@ _PER_LANE: dict[str, int] = {
     # node
     "x": 3, "v": 3, "force": 3, "push": 1, "keep": 1,
     # element
-    "q": 9, "w": 3, "rest": 1, "inv_rest": 1, "shear": 1, "stretch": 1, "rest_sigma": 3, "spin_kick": 1, "free": 1,
+    "q": 9, "w": 3, "rest": 1, "inv_rest": 1, "shear": 1, "stretch": 1, "spin_kick": 1, "free": 1,
     # Voronoi region
     "rest_voronoi": 1, "inv_rest_voronoi": 1, "bend": 1, "twist": 1, "rest_kappa": 3,
     # work space
-    "torque": 3, "length": 1, "dilatation": 1, "stretch_rate": 1, "half_angle": 1, "spin_keep": 1,
+    "torque": 3, "length": 1, "dilatation": 1, "lean": 3, "stretch_rate": 1, "half_angle": 1, "spin_keep": 1,
     # only where the scene has them
-    "tension": 1, "tension_rise": 1, "couple": 3, "spin_decay": 1,
+    "tension": 1, "tension_rise": 1, "couple": 3, "spin_decay": 1, "spin_late": 1,
 }  # fmt: skip
 CELL = np.dtype([(name, np.float64, (size, LANES) if size > 1 else (LANES,)) for name, size in _PER_LANE.items()])
 """One record of a block; `x[i, lane]` and so on. See `_PER_LANE` for the number of components."""
@@ -115,7 +115,7 @@ _LARGE_Y = 0.09
 _LARGE_T2 = 0.25
 _LARGE_DECAY = 0.25
 # Spin damped to less than this share within a step is too slow to count; the bound keeps 1 / keep^4 finite.
-_LEAST_KEEP = 1e-140
+_LEAST_KEEP = 1e-70
 
 
 @compiled
@@ -123,7 +123,7 @@ def _stress(pair: Cells, tension: float | None, couples: float | None) -> None:
     """Stretch and shear of element e: add its force to both nodes, set its torque (material frame)."""
     here, there = pair[0], pair[1]
     x0, x1, v0, v1, q, f0, f1 = here.x, there.x, here.v, there.v, here.q, here.force, there.force
-    rest, inv_rest, shear, stretch, sigma = here.rest, here.inv_rest, here.shear, here.stretch, here.rest_sigma
+    rest, inv_rest, shear, stretch, lean = here.rest, here.inv_rest, here.shear, here.stretch, here.lean
     torque, length, dilatation, stretch_rate = here.torque, here.length, here.dilatation, here.stretch_rate
     pull, rise, couple = here.tension, here.tension_rise, here.couple
     for j in range(LANES):
@@ -131,15 +131,16 @@ def _stress(pair: Cells, tension: float | None, couples: float | None) -> None:
         square = dx * dx + dy * dy + dz * dz
         inverse = 1.0 / np.sqrt(square)
         du, dv, dw = v1[0, j] - v0[0, j], v1[1, j] - v0[1, j], v1[2, j] - v0[2, j]
-        stretch_rate[j] = (du * dx + dv * dy + dw * dz) * inverse * inverse
+        lx, ly, lz = dx * inverse * inverse, dy * inverse * inverse, dz * inverse * inverse
+        lean[0, j], lean[1, j], lean[2, j] = lx, ly, lz
+        stretch_rate[j] = du * lx + dv * ly + dw * lz
         length[j] = square * inverse
         dilatation[j] = square * inverse * inv_rest[j]
         inv_dil = rest[j] * inverse
         a = (q[0, j] * dx + q[1, j] * dy + q[2, j] * dz) * inv_rest[j]
         b = (q[3, j] * dx + q[4, j] * dy + q[5, j] * dz) * inv_rest[j]
         c = (q[6, j] * dx + q[7, j] * dy + q[8, j] * dz) * inv_rest[j]
-        n0, n1 = shear[j] * (a - sigma[0, j]), shear[j] * (b - sigma[1, j])
-        n2 = stretch[j] * (c - 1.0 - sigma[2, j])
+        n0, n1, n2 = shear[j] * a, shear[j] * b, stretch[j] * (c - 1.0)
         s0 = (q[0, j] * n0 + q[3, j] * n1 + q[6, j] * n2) * inv_dil
         s1 = (q[1, j] * n0 + q[4, j] * n1 + q[7, j] * n2) * inv_dil
         s2 = (q[2, j] * n0 + q[5, j] * n1 + q[8, j] * n2) * inv_dil
@@ -245,41 +246,68 @@ def _move_node(here: Any, drift: float) -> None:
 
 
 @compiled
-def _spin_element(here: Any, dt: float, spin_damping: float | None, symmetric: float | None) -> None:
-    """Kick and damp the angular velocity of element e; J3 = 2 J1 turns J^-1 [(J w) x w] into (-w1 w2, w0 w2, 0)."""
-    if spin_damping is not None and symmetric is not None:
-        _damp_spin(here)
-    w, torque, rate = here.w, here.torque, here.stretch_rate
-    dilatation, spin_kick, free = here.dilatation, here.spin_kick, here.free
+def _spin_element(pair: Cells, dt: float, spin_damping: float | None, symmetric: float | None) -> None:
+    """Kick and damp the angular velocity w of element e, which turns faster as the element stretches.
+
+    Two terms depend on the velocities themselves: J^-1 [(J w) x w], which is (-w1 w2, w0 w2, 0) for J3 = 2 J1 and turns
+    (w0, w1) about d3, and w times the rate of stretch, for J / e bears the spin. PyElastica adds both as they stand
+    before the kick: first order, and (w0, w1) grow longer, which feeds fast spin. The symmetric step turns (w0, w1)
+    halfway through the kick by the mean of w2, and takes half the stretch from before and half from after the kick.
+    """
+    here, there = pair[0], pair[1]
+    if spin_damping is not None:
+        _damp_spin(here, symmetric)
+    w, torque, rate, lean, v0, v1 = here.w, here.torque, here.stretch_rate, here.lean, here.v, there.v
+    dilatation, spin_kick, free, keep, late = here.dilatation, here.spin_kick, here.free, here.spin_keep, here.spin_late
     for j in range(LANES):
         w0, w1, w2 = w[0, j], w[1, j], w[2, j]
-        scale = dilatation[j] * spin_kick[j]
-        grow = 1.0 + dt * rate[j]
-        z0 = (w0 * grow - dt * w1 * w2 + torque[0, j] * scale) * free[j]
-        z1 = (w1 * grow + dt * w0 * w2 + torque[1, j] * scale) * free[j]
-        z2 = (w2 * grow + 0.5 * torque[2, j] * scale) * free[j]
-        w[0, j], w[1, j], w[2, j] = z0, z1, z2
-    if spin_damping is not None:
-        _damp_spin(here)
+        scale = dilatation[j] * spin_kick[j] * free[j]
+        h0, h1, h2 = torque[0, j] * scale, torque[1, j] * scale, 0.5 * torque[2, j] * scale
+        if symmetric is not None:
+            early = free[j] / (1.0 - 0.5 * dt * rate[j])
+            a0, a1, a2 = w0 * early, w1 * early, w2 * early
+            if spin_damping is not None:
+                across = 0.5 * (1.0 + keep[j]) * late[j]
+                h0, h1, h2 = h0 * across, h1 * across, h2 * late[j]
+                a0, a1, a2 = a0 * keep[j] * keep[j], a1 * keep[j] * keep[j], a2 * keep[j]
+            t = 0.25 * dt * (w2 + a2 + h2) * free[j]
+            s = 2.0 * t / (1.0 + t * t)
+            m0, m1 = a0 + 0.5 * h0, a1 + 0.5 * h1
+            du, dv, dw = v1[0, j] - v0[0, j], v1[1, j] - v0[1, j], v1[2, j] - v0[2, j]
+            grow = 1.0 + 0.5 * dt * (du * lean[0, j] + dv * lean[1, j] + dw * lean[2, j])
+            w[0, j] = (m0 - s * (m1 + t * m0) + 0.5 * h0) * grow
+            w[1, j] = (m1 + s * (m0 - t * m1) + 0.5 * h1) * grow
+            w[2, j] = (a2 + h2) * grow
+        else:
+            grow, turn = (1.0 + dt * rate[j]) * free[j], dt * w2 * free[j]
+            z0, z1, z2 = w0 * grow - turn * w1 + h0, w1 * grow + turn * w0 + h1, w2 * grow + h2
+            if spin_damping is not None:
+                z0, z1, z2 = z0 * keep[j] * keep[j], z1 * keep[j] * keep[j], z2 * keep[j]
+            w[0, j], w[1, j], w[2, j] = z0, z1, z2
 
 
 @compiled
-def _damp_spin(here: Any) -> None:
-    """Scale the angular velocity by exp(-c dt / J dilatation), as PyElastica's AnalyticalLinearDamper does."""
-    w, dilatation, decay, spin_keep = here.w, here.dilatation, here.spin_decay, here.spin_keep
+def _damp_spin(here: Any, symmetric: float | None) -> None:
+    """Share of the spin about d3 that is left after a step, exp(-y), as PyElastica's AnalyticalLinearDamper has it.
+
+    In the symmetric step also the share (1 - exp(-y)) / y that is left of a kick spread over the step.
+    """
+    dilatation, decay, spin_keep, late = here.dilatation, here.spin_decay, here.spin_keep, here.spin_late
     n_large = 0
     for j in range(LANES):
         y = decay[j] * dilatation[j]
-        spin_keep[j] = 1.0 - y * _exp_tail(y)
+        tail = _exp_tail(y)
+        spin_keep[j] = 1.0 - y * tail
+        if symmetric is not None:
+            late[j] = tail
         n_large += 1 if y > _LARGE_DECAY else 0
     if n_large > 0:
         for j in range(LANES):
-            spin_keep[j] = np.exp(-decay[j] * dilatation[j])
-    for j in range(LANES):
-        keep = spin_keep[j]
-        w[0, j] *= keep * keep
-        w[1, j] *= keep * keep
-        w[2, j] *= keep
+            y = decay[j] * dilatation[j]
+            if y > _LARGE_DECAY:
+                spin_keep[j] = np.exp(-y)
+                if symmetric is not None:
+                    late[j] = (1.0 - np.exp(-y)) / y
 
 
 @compiled
@@ -383,10 +411,10 @@ def _step_blocks(
             _stress(rods[e + 1 : e + 3], tension, couples)
             _move_node(rods[e + 1], drift)
             _couple(rods[e : e + 2])
-            _spin_element(rods[e], dt, spin_damping, symmetric)
+            _spin_element(rods[e : e + 2], dt, spin_damping, symmetric)
             _rotate_element(rods[e], drift)
         _move_node(rods[last + 1], drift)
-        _spin_element(rods[last], dt, spin_damping, symmetric)
+        _spin_element(rods[last : last + 2], dt, spin_damping, symmetric)
         _rotate_element(rods[last], drift)
 
 
@@ -496,7 +524,7 @@ def _account(
 
     Muscles work by the trapezoid rule on their lengths at the kicks: half of either tension times the shortening, where
     the mean tension is `ago` rises before the one that comes next. Damping took from a node that moves with u now
-    m (1/keep^2 - 1) u^2 / 2, and from a spin likewise.
+    m (1/after^2 - 1) u^2 / 2 of the share that `damping_shares` leaves after a kick, and from a spin likewise.
     """
     work, twist, lost = 0.0, 0.0, 0.0
     for b in range(block.shape[0]):
@@ -517,12 +545,17 @@ def _account(
                 for j in range(LANES):
                     twist += dt * (couple[0, j] * w[0, j] + couple[1, j] * w[1, j] + couple[2, j] * w[2, j])
             if spin_damping is not None:
-                w, keep, dilatation, inertia = here.w, here.spin_keep, here.dilatation, account.inertia[n]
+                w, keep, late, dilatation, inertia = (
+                    here.w, here.spin_keep, here.spin_late, here.dilatation, account.inertia[n]
+                )  # fmt: skip
                 for j in range(LANES):
-                    square = max(keep[j] * keep[j], _LEAST_KEEP)
-                    across, along = 1.0 / (square * square) - 1.0, 1.0 / square - 1.0
                     if symmetric is not None:
-                        across, along = across + 1.0 - square * square, along + 1.0 - square
+                        late_across = 0.5 * (1.0 + keep[j]) * late[j]
+                        across = 1.0 / late_across**2 - (keep[j] * keep[j] / late_across) ** 2
+                        along = 1.0 / late[j] ** 2 - (keep[j] / late[j]) ** 2
+                    else:
+                        left = max(keep[j], _LEAST_KEEP)
+                        across, along = 1.0 / (left * left * left * left) - 1.0, 1.0 / (left * left) - 1.0
                     across *= w[0, j] * w[0, j] + w[1, j] * w[1, j]
                     lost += 0.5 * inertia[j] / dilatation[j] * (across + 2.0 * along * w[2, j] * w[2, j])
     account.total[0] += work
@@ -604,10 +637,12 @@ def inspect(
     max_dilatation: float,
     joints: Joints,
     reach: npt.NDArray[np.float64],
+    lines: Lines | None,
 ) -> tuple[int, int]:
     """Status code (as `engines.Status`) and the first element or joint at fault, or (0, -1).
 
-    `cell` and `lane` are those of each element, `reach` is the gap at which each joint counts as torn [m].
+    `cell` and `lane` are those of each element, `reach` is the gap at which each joint counts as torn [m]. Lines are
+    counted on from the elements.
     """
     for e in range(cell.shape[0]):
         here, there, j = cells[cell[e]], cells[cell[e] + 1], lane[e]
@@ -634,4 +669,14 @@ def inspect(
             square += gap * gap
         if not square <= reach[n] * reach[n]:
             return 4, n
+    if lines is not None:
+        for n in range(lines.cell_a.shape[0]):
+            a, b, la, lb = cells[lines.cell_a[n]], cells[lines.cell_b[n]], lines.lane_a[n], lines.lane_b[n]
+            square = 0.0
+            for i in range(3):
+                side = b.x[i, lb] - a.x[i, la]
+                square += side * side
+            dilatation = np.sqrt(square) / lines.rest_length[n]
+            if dilatation < min_dilatation or dilatation > max_dilatation:
+                return 2, cell.shape[0] + n
     return 0, -1

@@ -24,10 +24,12 @@ from elastica.typing import ConnectionIndex, RigidBodyType, RodType
 
 from lattice_gym.design import FloatArray
 from lattice_gym.energy import Flow
-from lattice_gym.engines import MAX_DILATATION, MIN_DILATATION, Engine, Health, Status, joint_reach, torn
+from lattice_gym.engines import MAX_DILATATION, MIN_DILATATION, Engine, Health, Status, joint_reach, overstretched, torn
 from lattice_gym.model import Rod, RodModel, RodState
 
 _START = np.float64(0.0)
+_LARGEST_RATE = 600.0
+"""Damping this large leaves no speed worth counting; without the bound what it left would overflow."""
 
 
 class _Assembly(BaseSystemCollection, Constraints, Connections, Forcing, Damping):
@@ -263,8 +265,9 @@ class PyElasticaEngine(Engine):
             nodes = self.model.nodes(index)
             mass, damping = self.model.node_mass[nodes], self.model.node_damping[nodes]
             speed = (made.velocity_collection**2).sum(axis=0)
-            lost += float(0.5 * mass * np.expm1(2.0 * self.dt * damping / mass) @ speed)
+            lost += float(0.5 * mass * np.expm1(np.minimum(2.0 * self.dt * damping / mass, _LARGEST_RATE)) @ speed)
             rate = 2.0 * self.dt * rod.rotational_damping / rod.inertia * made.dilatation
+            rate = np.minimum(rate, _LARGEST_RATE)
             spin = made.omega_collection**2
             share = np.expm1(rate) * (spin[0] + spin[1]) + 2.0 * np.expm1(0.5 * rate) * spin[2]
             lost += float(0.5 * rod.inertia / made.dilatation @ share)
@@ -298,4 +301,8 @@ class PyElasticaEngine(Engine):
             b = self._rods[joint.rod_b].position_collection[:, joint.node_b]
             if not np.linalg.norm(b - a) <= self._reach[k]:
                 return torn(self.model, k)
+        lengths = self._muscle_length()[len(self.model.muscles) :]
+        for k, (line, length) in enumerate(zip(self.model.lines, lengths, strict=True)):
+            if not MIN_DILATATION <= length / line.rest_length <= MAX_DILATATION:
+                return overstretched(self.model, k)
         return Health()

@@ -76,9 +76,7 @@ def _has_osmesa() -> bool:
 
 def _line_nodes(model: RodModel, position: FloatArray) -> FloatArray:
     """Nodes [m] of straight rods that stand for the lines of a model, one after another, shape (n, 3)."""
-    offset = model.node_offset
-    start = position[[offset[line.rod_a] + line.node_a for line in model.lines]]
-    end = position[[offset[line.rod_b] + line.node_b for line in model.lines]]
+    start, end = (position[rows] for rows in model.tie_nodes(model.lines))
     share = np.linspace(0.0, 1.0, LINE_ELEMENTS + 1)[:, None]
     return np.reshape(start[:, None] + share * (end - start)[:, None], (-1, 3))
 
