@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,13 @@ from lattice_gym.reports.__main__ import main
 from lattice_gym.reports.divergence import FIRST_SEED, WRONG, Run, compare, count, held
 
 
+@cache
+def _first() -> Run:
+    return compare(FIRST_SEED)
+
+
 def _run(verdict: str, status: str, delay: int | None) -> Run:
-    return replace(compare(FIRST_SEED), verdict=verdict, status=status, delay=delay, forked=False)
+    return replace(_first(), verdict=verdict, status=status, delay=delay, forked=False)
 
 
 def test_counting() -> None:

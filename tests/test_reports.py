@@ -22,7 +22,7 @@ def test_the_papers_motions_at_one_newton(tmp_path: Path, capsys: pytest.Capture
         row["motion"]: abs(row["deviation"]) < allowed[row["motion"]] for row in result["outcomes"]
     } == dict.fromkeys(allowed, True)
     assert {row["verdict"] for row in result["outcomes"]} == {"held"}
-    assert result["made"]["command"] == "python -m lattice_gym.reports paper --engine fused --tension 1"
+    assert result["made"]["command"] == "python -m lattice_gym.reports paper --tension 1.0 --no-pictures"
     printed = capsys.readouterr().out
     assert printed == (tmp_path / "paper.md").read_text()
     assert str(tmp_path) not in printed
@@ -77,6 +77,33 @@ def test_bad_options(words: list[str], capsys: pytest.CaptureFixture[str]) -> No
         main(words)
     assert raised.value.code == 2
     assert "error:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "report", "named"),
+    [
+        (["stability", "--seed", "7", "--quick", "--jobs", "2"], "stability.report", "stability --quick --seed 7"),
+        (["stability", "--jobs", "3"], "stability.report", "stability --jobs 3"),
+        (["validation", "--no-pictures"], "validation.report", "validation --no-pictures"),
+        (["paper"], "paper.report", "paper"),
+        (["paper", "--tension", "0.1", "2"], "paper.report", "paper --tension 0.1 2.0"),
+        (["paper", "--engine", "pyelastica"], "paper.report", "paper --engine pyelastica"),
+        (["engines"], "engines.report", "engines"),
+    ],
+)
+def test_the_command_makes_the_result_again(
+    words: list[str], report: str, named: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The footer's command has every option that is not its default, and no folder."""
+    commands: list[str] = []
+
+    def listen(*_: object, command: str, **__: object) -> bool:
+        commands.append(command)
+        return True
+
+    monkeypatch.setattr(f"lattice_gym.reports.{report}", listen)
+    assert main(["--out", "somewhere", *words]) == 0
+    assert commands == [f"python -m lattice_gym.reports {named}"]
 
 
 def test_table_columns_line_up() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
@@ -24,8 +25,11 @@ from lattice_gym.reports import motions, precision_study, work_precision
 from lattice_gym.reports.__main__ import main
 from lattice_gym.reports.motions import SCENES, Course, Setting, compare, extrapolated, run
 from lattice_gym.reports.pefrl import pefrl_faults
+from lattice_gym.tasks import TASKS
 
 BRIEF = replace(SCENES[0], duration=0.1)
+RESULTS = Path(work_precision.__file__).parent / "results"
+SHARE = r"-?[\d.]+(?= %)"
 
 
 @pytest.fixture(scope="module")
@@ -194,8 +198,8 @@ def test_fidelity_builds_and_survives_a_spec(name: FidelityName) -> None:
     assert isinstance(other, LatticeWormEnv)
     preset = FIDELITIES[name]
     assert made.splitting == other.splitting == preset.splitting
-    assert made.design == other.design == preset.refine(design)
-    assert made.design.elements_per_segment == (preset.elements_per_segment or 5)
+    assert made.design == other.design == preset.remesh(design)
+    assert made.design.elements_per_segment == {"fast": 2, "default": 5, "fine": 16}[name]
     back = replace(made.design, elements_per_segment=design.elements_per_segment, damping_mesh=None)
     assert back == design
     np.testing.assert_allclose(made.model.rods[0].damping * made.design.elements_per_segment, 5 * design.damping)
@@ -205,11 +209,23 @@ def test_fidelity_builds_and_survives_a_spec(name: FidelityName) -> None:
     np.testing.assert_array_equal(made.state.position, other.state.position)
 
 
-def test_refining_twice_keeps_the_first_damping() -> None:
+def test_two_meshes_keep_the_first_damping() -> None:
     """What the damping is stated for is not forgotten, and a mesh already there is left alone."""
     fast, fine = FIDELITIES["fast"], FIDELITIES["fine"]
-    assert fine.refine(fast.refine(LatticeDesign())) == fine.refine(LatticeDesign())
-    assert fast.refine(LatticeDesign(elements_per_segment=2)) == LatticeDesign(elements_per_segment=2)
+    assert fine.remesh(fast.remesh(LatticeDesign())) == fine.remesh(LatticeDesign())
+    assert fast.remesh(LatticeDesign(elements_per_segment=2)) == LatticeDesign(elements_per_segment=2)
+
+
+@pytest.mark.parametrize(
+    ("name", "meshes"), [("fast", (1, 2, 2, 2)), ("default", (1, 5, 16, 25)), ("fine", (16, 16, 16, 25))]
+)
+def test_fast_is_never_finer_and_fine_never_coarser(name: FidelityName, meshes: tuple[int, ...]) -> None:
+    """Than the design, whose own mesh is at that end or beyond it."""
+    for own, wanted in zip((1, 5, 16, 25), meshes, strict=True):
+        design = LatticeDesign(elements_per_segment=own)
+        remeshed = FIDELITIES[name].remesh(design)
+        assert remeshed.elements_per_segment == wanted
+        assert (remeshed == design) == (wanted == own)
 
 
 def test_splitting_wins_over_the_fidelity() -> None:
@@ -230,6 +246,78 @@ def test_splitting_wins_over_the_fidelity() -> None:
     wrong: Any = "none"
     with pytest.raises(ValueError, match="splitting"):
         LatticeWormEnv("extension", splitting=wrong)
+
+
+@pytest.fixture(scope="module")
+def measured() -> dict[str, Any]:
+    """Figures of the report that the docstring of the environment cites."""
+    result: dict[str, Any] = json.loads((RESULTS / "work-precision.json").read_text())
+    return result
+
+
+def stated() -> str:
+    """Return what the environment's docstring says about fidelities, on one line."""
+    text = (LatticeWormEnv.__doc__ or "").partition("## Fidelity")[2].partition("Arguments\n")[0]
+    return " ".join(text.split())
+
+
+def like(given: str, value: float) -> str:
+    """Value with as many decimals as a number that is given."""
+    return f"{value:.{len(given.partition('.')[2])}f}"
+
+
+@pytest.mark.parametrize("name", get_args(FidelityName))
+def test_the_table_of_fidelities_is_measured(name: FidelityName, measured: dict[str, Any]) -> None:
+    """Every cell is the report's, rounded as it is given; costs are the mean of the scenes, to one digit."""
+    row = re.search(rf'\| "{name}" \|([^|]*)\|([^|]*)\|([^|]*)\|([^|]*)\|([^|]*)\|', stated())
+    assert row is not None
+    mesh, splitting, errors, earned, cost = (cell.strip() for cell in row.groups())
+    shares, returns = re.findall(SHARE, errors), re.findall(SHARE, earned) or ["0", "0"]
+
+    studies = measured["studies"]
+    assert [study["scene"]["outcome"] for study in studies] == ["strain", "bend angle", "ring radii"]
+    points = [study["fidelities"][name] for study in studies]
+    changes = [gained[name] / gained["fine"] - 1.0 for gained in measured["gait_returns"].values()]
+    mean_cost = sum(point["cost"] for point in points) / len(points)
+    assert {
+        "elements per segment": re.findall(r"\d+", mesh),
+        "splitting": splitting,
+        "error": shares,
+        "return": returns,
+        "cost": cost,
+    } == {
+        "elements per segment": [str(points[0]["elements_per_segment"])],
+        "splitting": f'"{points[0]["splitting"]}"',
+        "error": [like(given, 100.0 * point["error"][0]) for given, point in zip(shares, points, strict=True)],
+        "return": [like(returns[0], 100.0 * sum(changes) / len(changes)), like(returns[1], 100.0 * min(changes))],
+        "cost": f"{float(f'{1e3 * mean_cost:.1g}'):.0f} ms",
+    }
+    assert points[0]["splitting"] == FIDELITIES[name].splitting
+
+
+def test_the_text_on_fidelities_is_measured(measured: dict[str, Any]) -> None:
+    """The errors of the time step, the tasks whose returns are averaged, and how much cheaper the fast one is."""
+    text, studies = stated(), measured["studies"]
+    errors = {splitting: share for share, splitting in re.findall(r'([\d.]+) %(?: or less)? with "(\w+)"', text)}
+    averaged = re.search(r"mean over (.+?) \(and worst\)", text)
+    cheaper = re.search(r'"fast", which is (\w+) times cheaper than "default"', text)
+    assert averaged is not None
+    assert cheaper is not None
+
+    worst: dict[str, float] = {}
+    for point in (point for study in studies for point in study["fidelities"].values()):
+        worst[point["splitting"]] = max(worst.get(point["splitting"], 0.0), point["time_error"][0])
+    cost = {name: sum(study["fidelities"][name]["cost"] for study in studies) for name in ("fast", "default")}
+    words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+    assert {
+        "time errors": errors,
+        "tasks": sorted(TASKS if averaged[1] == "the tasks" else re.split(r", | and ", averaged[1])),
+        "times cheaper": cheaper[1],
+    } == {
+        "time errors": {name: like(errors.get(name, ""), 100.0 * share) for name, share in worst.items()},
+        "tasks": sorted(measured["gait_returns"]),
+        "times cheaper": words[round(cost["default"] / cost["fast"])],
+    }
 
 
 @pytest.mark.parametrize("name", ["best", None, 3, ["fast"]])

@@ -20,7 +20,7 @@ _INK, _GREY, _PALE = "#22303c", "#7c8894", "#d5dde4"
 _COLOUR = {"fused": "#0b7fab", "pyelastica": "#e4572e"}
 _SCENE_COLOURS = ("#0b7fab", "#e4572e", "#2a9d5c", "#8e5bb5", "#d19a00", "#6b7a88", "#1f3b73")
 _MOST_MARKS = 16
-_COLUMNS = 5
+_COLUMNS = 6
 _ELEMENT_TICKS = (4, 8, 16, 32, 64, 128, 256)
 
 
@@ -29,7 +29,7 @@ def draw(validation: Validation, path: Path) -> None:
     curves = [pair for pair in validation.outcomes if len(pair[0].reading.x) > 3]
     numbers = [pair for pair in validation.outcomes if len(pair[0].reading.x) <= 3]
     n_rows = -(-len(curves) // _COLUMNS)
-    figure = Figure(figsize=(16.0, 2.8 * n_rows + 4.6), dpi=100, facecolor="white", layout="constrained")
+    figure = Figure(figsize=(20.0, 2.8 * n_rows + 4.6), dpi=100, facecolor="white", layout="constrained")
     grid = figure.add_gridspec(2, 1, height_ratios=[2.8 * n_rows, 4.3])
     upper, lower = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
     panels = upper.subplots(n_rows, _COLUMNS, squeeze=False).ravel()
@@ -157,17 +157,16 @@ def _draw_meshes(axes: Axes, validation: Validation) -> None:
 
 
 def _draw_steps(axes: Axes, validation: Validation) -> None:
-    _dress(axes, "Order in the time step", "dt over the largest of its scene", "relative error")
+    note = "solid: order 2 expected, dashed: order 1"
+    _dress(axes, "Order in the time step", "dt over the largest of its scene", "relative error", note)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    groups = dict.fromkeys((s.scene, s.splitting if s.damped else "") for s in validation.steps)
-    colours = dict(zip(groups, _SCENE_COLOURS, strict=False))
+    colours = dict(zip(dict.fromkeys(steps.scene for steps in validation.steps), _SCENE_COLOURS, strict=False))
     for steps in validation.steps:
-        key = (steps.scene, steps.splitting if steps.damped else "")
         x = np.array(steps.dt) / max(steps.dt)
-        colour = colours.get(key, _GREY)
+        colour = colours.get(steps.scene, _GREY)
         if steps.engine == "fused":
-            how = {"": "", "pyelastica": ", as PyElastica", "symmetric": ", symmetric"}[key[1]]
+            how = {"pyelastica": ", as PyElastica", "symmetric": ", symmetric"}[steps.splitting] if steps.split else ""
             style = "--o" if steps.expected == 1.0 else "-o"
             label = f"{steps.scene}{how}: {steps.fitted:.2f}"
             axes.plot(x, steps.error, style, color=colour, markersize=6, markerfacecolor="white", label=label)

@@ -33,7 +33,7 @@ from lattice_gym.reports.provenance import provenance, table, write
 
 LEAST_GAIN = 100.0
 """How many times less computing than PyElastica the fused engine must need at every target."""
-GAIT_STEPS = {"peristalsis": 200, "extension": 40, "bending": 40}
+GAIT_STEPS = {"peristalsis": 200, "extension": 40, "compression": 40, "bending": 40}
 """Control steps of an episode of registered length."""
 
 
