@@ -206,11 +206,12 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     allow_large_dt
         Take a `dt` above the predicted stable step.
     energy_check
-        Draw up the energy ledger of every control step and end an episode where energy came from nowhere.
+        Draw up the energy ledger of every control step and end an episode where energy came from nowhere. The law of
+        rods that are sheared and stretched at once is no potential's: a violent snap may be flagged at any step.
     step_check
         Take a run at half the step along and end an episode where it leads elsewhere, by more than
-        `engines.STEP_TOLERANCE` of the height: the one check that also catches a run which goes astray smoothly, as
-        near a snap. Three times the computing. A pickled environment begins the comparison anew.
+        `engines.STEP_TOLERANCE` of the longest side: the one check that also catches a run which goes astray smoothly,
+        as near a snap. Three times the computing. A pickled environment begins the comparison anew.
     control_dt
         Time between actions [s].
     observation

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from lattice_gym.engines import Engine, Health, Status
 from lattice_gym.reports import divergence
 from lattice_gym.reports.__main__ import main
-from lattice_gym.reports.divergence import FIRST_SEED, WRONG, Run, compare, count, held
+from lattice_gym.reports.divergence import FIRST_SEED, N_CONTROL, TWIN, WRONG, Run, Truth, compare, count, held
 
 
 @cache
@@ -32,6 +35,8 @@ def test_counting() -> None:
     assert rows["wrong"] == {
         "runs": 2, "forked": 0, "flagged at once": 1, "one step later": 1, "later": 0, "not flagged": 0,
     }  # fmt: skip
+    assert held(count([*good, _run("undecided", "ok", None)]))
+    assert count([_run("undecided", "ok", None)])["right"]["runs"] == 0
     for bad in (("right", "torn", None), ("wrong", "ok", None), ("wrong", "torn", 2), ("collapsed", "ok", None)):
         assert not held(count([*good, _run(*bad)]))
 
@@ -48,6 +53,33 @@ def test_runs_are_judged_by_their_twins(monkeypatch: pytest.MonkeyPatch, share: 
     assert (run.deviation > WRONG) == (verdict == "wrong")
 
 
+def test_a_run_with_nothing_to_compare_is_undecided(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the twins fork at once, it is not taken for right."""
+    monkeypatch.setattr(divergence, "_truth", lambda plan, refinement: Truth([], True, "ok", 0.0))
+    run = compare(FIRST_SEED)
+    assert (run.verdict, run.n_compared, run.status) == ("undecided", 0, "ok")
+    rows = count([run])
+    assert {verdict: row["runs"] for verdict, row in rows.items()} == dict.fromkeys(rows, 0) | {"undecided": 1}
+
+
+def test_the_twins_ignore_their_energy_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it flags is no failure of theirs; its ledger is read."""
+    monkeypatch.setattr(divergence, "N_CONTROL", 2)
+    monkeypatch.setattr(Engine, "_audit", flagged(Engine._audit))
+    truth = divergence._truth(divergence.plan(FIRST_SEED), TWIN)
+    assert (truth.status, len(truth.positions), truth.residual > 0.0) == ("ok", 3, True)
+
+
+def flagged(audit: Callable[..., Health]) -> Callable[..., Health]:
+    """Make an audit that always finds energy from nowhere."""
+
+    def wrong(engine: Engine, *arguments: Any) -> Health:
+        audit(engine, *arguments)
+        return Health(Status.ENERGY, 0, 0)
+
+    return wrong
+
+
 def test_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """It writes table, numbers and figure, and its exit status says what they show."""
     monkeypatch.setattr(divergence, "QUICK", 4)
@@ -56,5 +88,9 @@ def test_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert status == (0 if result["held"] else 1)
     assert [run["seed"] for run in result["runs"]] == [FIRST_SEED + k for k in range(4)]
     assert sum(row["runs"] for row in result["counts"].values()) == 4
+    assert result["seed_of_largest_residual_of_twins"] in [run["seed"] for run in result["runs"]]
+    complete = [run for run in result["runs"] if run["verdict"] == "right" and run["n_compared"] == N_CONTROL]
+    assert result["right_runs_compared_to_the_end"] == len(complete)
+    assert f"{len(complete)} were compared to the end" in (tmp_path / "divergence.md").read_text()
     assert capsys.readouterr().out == (tmp_path / "divergence.md").read_text()
     assert (tmp_path / "divergence.png").read_bytes()[1:4] == b"PNG"

@@ -63,7 +63,7 @@ def test_every_part_has_its_formula() -> None:
 def _assembly(muscles: str, *, smooth: bool = False) -> RodModel:
     """Join a rod to the tip of a clamped one with a dashpot, a muscle across and loads on it.
 
-    A smooth one has no dashpot, no damping of spin and no torque: what the ledger counts to first order in the step.
+    A smooth one has no dashpot, no damping of spin and no torque.
     """
     damped = {"damping": 0.02, "rotational_damping": 0.0 if smooth else 1e-3}
     rods = [
@@ -117,18 +117,18 @@ def _order(left: FloatArray) -> float:
     return slope(STEPS[:-1], np.abs(np.diff(left)).tolist())
 
 
-@pytest.mark.parametrize(("muscles", "most"), [("rod", 7e-5), ("line", 2.2e-4)])
+@pytest.mark.parametrize(("muscles", "most"), [("rod", 4.5e-5), ("line", 2.1e-4)])
 def test_the_ledger_balances(muscles: str, most: float) -> None:
-    """Every part comes in; halving the step halves what it adds to the residual, down to what the law itself leaves.
+    """Every part comes in; halving the step shrinks what it adds to the residual, down to what the law itself leaves.
 
-    The work of torques, dashpots and the damping of spin are summed to first order, whatever the splitting. `most` is
-    the residual at the finest step, a tenth to spare.
+    PyElastica's damping and the dashpots move the motion itself to first order, and what the law leaves with it. `most`
+    is the residual at the finest step, a tenth to spare.
     """
     books = [_books(_assembly(muscles), splitting) for splitting in get_args(Splitting)]
-    for parts, left in books:
+    for (parts, left), least in zip(books, (0.95, 1.9), strict=True):
         assert np.all(np.abs(parts[-1]) > 1e-2)
         assert parts[-1, 2] > 0.0
-        assert _order(left) == pytest.approx(1.0, abs=0.03)
+        assert _order(left) > least
         assert abs(left[-1]) < most
         apart = np.abs(parts - books[-1][0][-1]).max(axis=1)
         assert np.all(apart < 2e-4 * np.array(STEPS) / STEPS[0])
@@ -136,7 +136,7 @@ def test_the_ledger_balances(muscles: str, most: float) -> None:
 
 @pytest.mark.parametrize(("muscles", "most"), [("rod", 2e-4), ("line", 2.3e-3)])
 def test_the_ledger_shows_the_order_of_the_splitting(muscles: str, most: float) -> None:
-    """Without what is summed to first order, halving the step quarters the residual's excess of a symmetric step.
+    """Without dashpots, halving the step quarters the residual's excess of a symmetric step.
 
     PyElastica's step differs from that by an amount that halves. `most` is what the law leaves, a tenth to spare.
     """
@@ -146,6 +146,35 @@ def test_the_ledger_shows_the_order_of_the_splitting(muscles: str, most: float) 
     assert slope(STEPS, np.abs(explicit - symmetric).tolist()) == pytest.approx(1.0, abs=0.03)
     assert abs(symmetric[-1]) < most
     assert np.all(np.abs(parts - parts[-1]).max(axis=1) < 4e-6 * (np.array(STEPS) / STEPS[0]) ** 2)
+
+
+@pytest.mark.parametrize("splitting", get_args(Splitting))
+@pytest.mark.parametrize("decay", [0.1, 1.0, 5.0, 1000.0])
+def test_a_pull_against_heavy_damping_balances(splitting: Splitting, decay: float) -> None:
+    """However much a step damps, what a pull gives is what damping takes and motion keeps, to rounding."""
+    soft = ROD | {"youngs_modulus": 1e-12, "shear_modulus": 1e-12}
+    rod = straight_rod((0, 0, 0), (0, 0, 1), 2, **soft, damping=1.0)
+    pulls = tuple(PointForce(0, n, (1e-3, 0.0, 0.0)) for n in range(3))
+    engine = make_engine("fused", RodModel(rods=(rod,), forces=pulls), decay * rod.mass[0], splitting, True)
+    for _ in range(3):
+        assert engine.advance([], 20).ok
+        entry = engine.ledger
+        assert entry is not None
+        assert entry.dissipated > 0.0
+        assert abs(entry.residual) < 1e-6 * entry.scale
+
+
+@pytest.mark.parametrize("engine_name", get_args(EngineName))
+def test_nothing_is_left_of_a_run_that_failed(engine_name: EngineName, lattice: Lattice) -> None:
+    """After a restore the books begin empty, whatever happened before: a failed run's work is not the next one's."""
+    model = build_model(lattice, named_layout("all", lattice))
+    engine, fresh = (make_engine(engine_name, model, dt, energy_check=True) for dt in (2e-3, 2e-3))
+    pull = np.full(model.n_muscle, 2.0)
+    assert not engine.advance(pull, 200).ok
+    assert engine.ledger is None
+    engine.restore(model.rest_state())
+    assert engine.advance(0.01 * pull, 1) == fresh.advance(0.01 * pull, 1)
+    assert engine.ledger == fresh.ledger
 
 
 @pytest.mark.parametrize("muscles", ["rod", "line"])
@@ -158,10 +187,7 @@ def test_engines_keep_the_same_books(muscles: str) -> None:
 
 @pytest.mark.parametrize("splitting", ["pyelastica", "symmetric"])
 def test_dissipation_is_what_motion_loses(splitting: Splitting) -> None:
-    """In a step from rest without forces damping alone takes the kinetic energy, to rounding; in spin as in speed.
-
-    What the first half of a split damping takes from a spin is reckoned from what the second half leaves.
-    """
+    """In a step from rest without forces damping alone takes the kinetic energy, to rounding; in spin as in speed."""
     rod = straight_rod((0, 0, 0), (0, 0, 1), 2, **ROD, damping=0.5, rotational_damping=0.02)
     model = RodModel(rods=(rod,))
     engine = make_engine("fused", model, 1e-3, splitting, True)
@@ -175,7 +201,7 @@ def test_dissipation_is_what_motion_loses(splitting: Splitting) -> None:
         entry = engine.ledger
         assert entry is not None
         assert lost > 0.0
-        assert entry.dissipated == pytest.approx(lost, rel=0.02 if omega and splitting == "symmetric" else 1e-12)
+        assert entry.dissipated == pytest.approx(lost, rel=1e-12)
 
 
 def test_the_check_changes_nothing_else(engine_name: EngineName, lattice: Lattice) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.engines import EngineName, Splitting, Status, make_engine
+from lattice_gym.engines import STEP_TOLERANCE, Engine, EngineName, Health, Splitting, Status, make_engine
 from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.model import (
     Clamp,
@@ -23,6 +23,7 @@ from lattice_gym.model import (
     straight_rod,
 )
 from lattice_gym.muscles import named_layout
+from lattice_gym.reports.divergence import Plan, plan
 from lattice_gym.stability import default_dt, stable_dt
 
 FIELDS = ("position", "velocity", "directors", "omega")
@@ -236,6 +237,119 @@ def test_each_failure_is_named(
     engine.restore(state)
     health = engine.advance([], 1)
     assert (health.status, health.rod, health.element) == (status, 1, 0)
+
+
+@pytest.fixture(scope="module")
+def astray() -> Plan:
+    """Run of the divergence report that goes 12 % of the height astray and passes every check but that of the step."""
+    return plan(20_114)
+
+
+N_ASTRAY = 5
+"""Control steps up to the one in which its nodes part by more than `STEP_TOLERANCE` from the run at half the step."""
+
+
+def made(run: Plan, *, share: float = 1.0, energy_check: bool = False, step_check: bool = False) -> Engine:
+    """Engine of a run, at a share of its step."""
+    return make_engine("fused", run.model, share * run.dt, run.splitting, energy_check, step_check)
+
+
+def test_a_smooth_run_astray_is_caught(astray: Plan) -> None:
+    """Only by the step check, at the place furthest from the run at half the step; the run is not changed by it."""
+    checked, energy, finer = made(astray, step_check=True), made(astray, energy_check=True), made(astray, share=0.5)
+    for step, ramp in enumerate(astray.ramps[:N_ASTRAY], start=1):
+        health = checked.advance(ramp, astray.n_substeps)
+        assert energy.advance(ramp, astray.n_substeps).ok
+        assert finer.advance(ramp, 2 * astray.n_substeps).ok
+        apart = np.linalg.norm(energy.state.position - finer.state.position, axis=1)
+        size = np.ptp(astray.model.rest_state().position, axis=0).max()
+        assert checked.step_error is not None
+        assert checked.step_error == pytest.approx(apart.max() / size, rel=1e-9)
+        assert (checked.step_error > STEP_TOLERANCE) == (step == N_ASTRAY) == (not health.ok)
+    for field in FIELDS:
+        assert np.array_equal(getattr(checked.state, field), getattr(energy.state, field)), field
+    rod = next(k for k in range(astray.model.n_rod) if np.argmax(apart) < astray.model.nodes(k).stop)
+    node = int(np.argmax(apart)) - astray.model.nodes(rod).start
+    element = min(node, astray.model.rods[rod].n_elem - 1)
+    assert health == Health(Status.INACCURATE, rod, element)
+    assert str(health) == f"inaccurate (rod {rod}, element {element})"
+
+
+def test_a_right_run_is_not_flagged(astray: Plan) -> None:
+    """The same at a quarter of the step, to the end of its ramps."""
+    engine = made(astray, share=0.25, energy_check=True, step_check=True)
+    for ramp in astray.ramps:
+        assert engine.advance(ramp, 4 * astray.n_substeps).ok
+        assert engine.step_error is not None
+        assert 0.0 < engine.step_error < STEP_TOLERANCE
+
+
+def test_restore_starts_the_comparison_anew(astray: Plan) -> None:
+    """The engine at half the step takes over the state, too, be it the state that was flagged."""
+    used, fresh = made(astray, step_check=True), made(astray, step_check=True)
+    for ramp in astray.ramps[: N_ASTRAY - 1]:
+        assert used.advance(ramp, astray.n_substeps).ok
+    saved, before = used.state, used.step_error
+    assert used.advance(astray.ramps[N_ASTRAY - 1], astray.n_substeps).status is Status.INACCURATE
+    used.restore(saved)
+    fresh.restore(saved)
+    assert used.step_error is None
+    ramp = astray.ramps[N_ASTRAY - 1] * 0.0
+    assert used.advance(ramp, 1) == fresh.advance(ramp, 1) == Health()
+    assert used.step_error == fresh.step_error
+    assert used.step_error is not None
+    assert before is not None
+    assert 0.0 < used.step_error < 0.01 * before
+
+
+def test_step_error(engine_name: EngineName) -> None:
+    """A number after a call that ends in a state; None before the first, once restored, and where the run failed."""
+    model = mixed_assembly()
+    dt = 0.5 * stable_dt(model)
+    engine, plain = (make_engine(engine_name, model, dt, step_check=check) for check in (True, False))
+    assert engine.step_error is None
+    for tension in ([[0.0], [100.0]], [100.0], [[100.0], [20.0]]):
+        assert engine.advance(tension, 30).ok
+        assert plain.advance(tension, 30).ok
+        assert engine.step_error is not None
+        assert 0.0 < engine.step_error < 1e-2
+        assert plain.step_error is None
+    assert np.array_equal(engine.state.position, plain.state.position)
+    assert engine.advance([1e9], 30).status not in (Status.OK, Status.ENERGY, Status.INACCURATE)
+    assert engine.step_error is None
+    engine.restore(model.rest_state())
+    assert engine.step_error is None
+    assert engine.advance([100.0], 30).ok
+    assert engine.step_error is not None
+    engine.restore(model.rest_state())
+    assert engine.step_error is None
+
+
+def test_step_error_where_energy_comes_from_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That flag leaves a state, which is compared: the flag is the one, the number that of a run without it."""
+    model = mixed_assembly()
+    both = make_engine("fused", model, 0.5 * stable_dt(model), energy_check=True, step_check=True)
+    alone = make_engine("fused", model, both.dt, step_check=True)
+    monkeypatch.setattr(both, "_audit", lambda *arguments: Health(Status.ENERGY, 2, 1))
+    for _ in range(2):
+        assert both.advance([100.0], 30) == Health(Status.ENERGY, 2, 1)
+        assert alone.advance([100.0], 30).ok
+        assert both.step_error == alone.step_error is not None
+
+
+def test_half_a_step_that_fails_flags_the_run(engine_name: EngineName) -> None:
+    """The run is inaccurate where the run beside it fails, and has no distance from it."""
+    model = mixed_assembly()
+    dt = 0.5 * stable_dt(model)
+    engine = make_engine(engine_name, model, dt, step_check=True)
+    assert engine.advance([100.0], 30).ok
+    engine.shadowed(make_engine(engine_name, model, 10.0 * dt))
+    health = engine.advance([100.0], 30)
+    failed = make_engine(engine_name, model, 10.0 * dt).advance([100.0], 60)
+    assert not failed.ok
+    assert health == replace(failed, status=Status.INACCURATE)
+    assert engine.step_error is None
+    assert make_engine(engine_name, model, dt).advance([100.0], 60).ok
 
 
 def test_refused_input(engine_name: EngineName, lattice: Lattice) -> None:

@@ -30,6 +30,7 @@ from lattice_gym.env import DIVERGENCE_PENALTY, OBSERVATION_BOUND, LatticeWormEn
 from lattice_gym.lattice import build_lattice
 from lattice_gym.measures import site_positions
 from lattice_gym.muscles import advance_activation, named_layout
+from lattice_gym.reports.divergence import plan
 from lattice_gym.stability import stable_dt
 from lattice_gym.tasks import EFFORT_WEIGHT, TASKS, Peristalsis
 from lattice_gym.trajectory import Recorder
@@ -514,6 +515,49 @@ def test_any_engine_failure_is_survived(monkeypatch: pytest.MonkeyPatch) -> None
     assert info["status"] == "inverted (rod 4, element 2)"
     assert pickle.dumps(env.state) == state == pickle.dumps(env._engine.state)
     assert env.task.caption(env.state.position) == ""
+
+
+def test_a_run_astray_ends_the_episode() -> None:
+    """With the step check only: a run of the divergence report that any other check lets pass; then a fresh start."""
+    run = plan(20_114)
+    kwargs: dict[str, Any] = {
+        "task": "extension", "design": run.design, "muscles": run.layout, "splitting": run.splitting,
+        "dt": run.dt, "allow_large_dt": True, "energy_check": True,
+    }  # fmt: skip
+    checked, plain = LatticeWormEnv(**kwargs, step_check=True), LatticeWormEnv(**kwargs)
+    commands = np.random.default_rng((run.seed, 1)).random((5, run.model.n_muscle)) < 0.5
+
+    def episode(env: LatticeWormEnv) -> list[Any]:
+        return [env.reset(seed=0), *(env.step(action) for action in commands.astype(float))]
+
+    first, plain_first = episode(checked), episode(plain)
+    assert _same(first[:-1], plain_first[:-1])
+    assert [step[2] for step in first[1:]] == [False] * 4 + [True]
+    assert not plain_first[-1][2]
+    assert re.fullmatch(r"inaccurate \(rod \d+, element \d+\)", first[-1][4]["status"])
+    assert first[-1][4]["reward_terms"]["divergence"] == -DIVERGENCE_PENALTY
+    np.testing.assert_array_equal(first[-1][0], first[-2][0])
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        checked.step(commands[0].astype(float))
+    assert _same(first, episode(checked))
+
+
+@pytest.mark.parametrize("copied", [lambda env: pickle.loads(pickle.dumps(env)), copy.deepcopy])
+def test_a_copy_keeps_the_step_check(copied: Any) -> None:
+    """It goes on as the original does, and compares from where it was copied on."""
+    env = LatticeWormEnv(design=SMALL, command=SMALL_WAVE, step_check=True)
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(np.ones(N_SMALL))
+    twin: LatticeWormEnv = copied(env)
+    assert twin._engine.step_error is None
+    for action in (np.ones(N_SMALL), np.zeros(N_SMALL)):
+        assert _same([env.step(action)], [twin.step(action)])
+        assert twin._engine.step_error not in (None, 0.0, env._engine.step_error)
+    for one in (env, twin):
+        one.reset(seed=0)
+        one.step(np.ones(N_SMALL))
+    assert twin._engine.step_error == env._engine.step_error is not None
 
 
 def test_time_goes_on_where_physics_fails(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -239,6 +239,46 @@ def test_never_above_the_measured_limit(case: report.Case) -> None:
     assert limit.beyond or 0.4 <= limit.ratio <= 1.0
 
 
+SQUARE = np.zeros((4, 3))
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "forks"),
+    [
+        (("", [0.0, 0.0]), ("", [0.0, 0.005]), False),
+        (("", [0.0, 0.0]), ("", [0.0, 0.02]), True),
+        (("", [0.0, 0.0]), ("inverted", []), True),
+        (("", [0.0, 0.0]), ("inverted", [0.0]), True),
+        (("torn", [0.0]), ("inverted", [0.0]), True),
+        (("inverted", []), ("inverted", [0.0, 0.0]), False),
+        (("inverted", [0.0, 0.0]), ("inverted", [0.005]), False),
+        (("inverted", [0.0, 0.0]), ("inverted", [0.02]), True),
+    ],
+)
+def test_forks(
+    monkeypatch: pytest.MonkeyPatch, one: tuple[str, list[float]], other: tuple[str, list[float]], forks: bool
+) -> None:
+    """Runs apart by more than 1 %, or of which one fails; with the same failure as far as both go, if at all."""
+    trial = report.Trial(LatticeDesign(n_pairs=3, elements_per_segment=1))
+
+    def run(dt: float, n_steps: int, refinement: int, noise: float = 0.0) -> tuple[str, list[FloatArray], float]:
+        status, moved = other if noise else one
+        return status, [SQUARE + np.array([trial.design.height * x, 0.0, 0.0]) for x in moved], 0.0
+
+    monkeypatch.setattr(trial, "_run", run)
+    assert trial.forks(1e-4, 10) == forks
+
+
+def test_shared_designs_are_counted_once() -> None:
+    """Two grids that meet in a design, and a random one; a collapse counts nowhere."""
+    default = report.Case("stiffness", {"n_pairs": 3, "joint_stiffness": LatticeDesign().joint_stiffness})
+    cases = [default, replace(default, group="damping", design={"n_pairs": 3}), *report.random_cases(2)]
+    limits = [report.Limit(case, 1.0, 1.5, 1.4, "", "", False, 0.0) for case in cases]
+    limits[-1] = replace(limits[-1], beyond="collapse")
+    found = report.summarise(limits)["within_1_percent"]
+    assert [found[key] for key in ("n_counted", "n_design", "n_random", "n_collapse")] == [3, 2, 1, 1]
+
+
 def test_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A case that collapses is listed apart, the others are counted, and all is written."""
     monkeypatch.setattr(report, "GRID", {"load": {"tension": (0.5, 4.0), "modulus": (0.01, 100.0)}})
@@ -247,7 +287,7 @@ def test_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (result["summary"]["n_case"], len(result["cases"])) == (4, 4)
     assert {row["beyond"] for row in result["cases"] if row["case"]["factors"].get("modulus") == 0.01} == {"collapse"}
     found = result["summary"]["stable"]
-    counts = [found[key] for key in ("n_counted", "n_collapse", "n_forked", "n_above_1")]
-    assert (counts, found["holds"]) == ([2, 2, 0, 0], True)
+    counts = [found[key] for key in ("n_counted", "n_design", "n_random", "n_collapse", "n_forked", "n_above_1")]
+    assert (counts, found["holds"]) == ([2, 2, 0, 2, 0, 0], True)
     assert (tmp_path / "stability.png").read_bytes()[1:4] == b"PNG"
     assert "| load" in (tmp_path / "stability.md").read_text()

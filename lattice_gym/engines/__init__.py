@@ -1,7 +1,8 @@
 """Engines advance a `RodModel` in time: "fused" (compiled, the default) and "pyelastica" (the reference).
 
-Both take the same step, position Verlet as PyElastica 1.0.0 has it: half a drift, then with all forces of that instant
-(internal, muscle tension, joints, point loads) a full kick, clamps, damping, and half a drift.
+Both take steps of position Verlet: half a drift, then with all forces of that instant (internal, muscle tension,
+joints, point loads) a full kick, clamps, and half a drift. Damping follows the kick, as in PyElastica 1.0.0, or goes
+along with it: see `Splitting`.
 """
 
 from __future__ import annotations
@@ -153,6 +154,8 @@ class Engine(ABC):
         """
         state.check(self.model)
         self._restore(state)
+        if self._meter is not None:
+            self._flow()
         if self._shadow is not None:
             self._shadow.restore(state)
         self._before = self._ledger = self._step_error = None
@@ -201,13 +204,16 @@ class Engine(ABC):
         start, end = (pull, pull) if pull.ndim == 1 else pull
         if self._meter is not None and self._before is None:
             self._before = (state := self.state), self._meter.stored(state)
+        self._ledger = self._step_error = None
         health = self._advance(start, end, count)
-        self._ledger = None
-        if health.ok and self._meter is not None and self._before is not None:
+        other = None if self._shadow is None else self._shadow._advance(start, end, 2 * count)
+        if not health.ok:
+            return health
+        if self._meter is not None and self._before is not None:
             health = self._audit(self._meter, *self._before)
-        if self._shadow is not None:
-            other = self._shadow._advance(start, end, 2 * count)
-            health = self._compared(self._shadow.state.position, other) if health.ok else health
+        if self._shadow is not None and other is not None:
+            compared = self._compared(self._shadow.state.position, other)
+            health = compared if health.ok else health
         return health
 
     def shadowed(self, shadow: Engine) -> Engine:
@@ -217,7 +223,6 @@ class Engine(ABC):
 
     def _compared(self, other: FloatArray, health: Health) -> Health:
         """Judge how far the nodes are from where the engine at half the step has them, which ended in `health`."""
-        self._step_error = None
         if not health.ok:
             return replace(health, status=Status.INACCURATE)
         apart = np.linalg.norm(self.state.position - other, axis=1)

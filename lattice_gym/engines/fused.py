@@ -146,16 +146,24 @@ class FusedEngine(Engine):
 
     def _open_account(self) -> kernels.Account:
         """Account with nothing in it: constants of every node and element by record and lane."""
-        mass = self.model.node_mass
-        loss, early, inertia, length = np.zeros((4, self._place.n_cell, kernels.LANES))
+        n_cell, lanes = self._place.n_cell, kernels.LANES
+        after, before, mixed, inertia, length = np.zeros((5, n_cell, lanes))
+        velocity, omega = np.zeros((2, n_cell, 3, lanes))
         node, element = (self._node_cell, self._node_lane), (self._element_cell, self._element_lane)
-        # A rate this large leaves no speed worth counting; without the bound what it left would overflow.
-        rate = np.minimum(self._decay(), _LARGEST_RATE)
-        before, after = damping_shares(rate, "symmetric" if self._symmetric else "pyelastica")
-        loss[node] = 0.5 * mass * (1.0 / after**2 - 1.0)
-        early[node] = 0.5 * mass * (1.0 - before**2)
+        rate = self._decay()
+        if not self._symmetric:
+            # A rate this large leaves no speed worth counting; without the bound what it left would overflow.
+            rate = np.minimum(rate, _LARGEST_RATE)
+        early, late = damping_shares(rate, "symmetric" if self._symmetric else "pyelastica")
+        half = 0.5 * self.model.node_mass
+        after[node], before[node], mixed[node] = (
+            half * (1.0 / late - 1.0),
+            half * (1.0 - early),
+            half * (1.0 / late - early),
+        )
         inertia[element] = np.concatenate([rod.inertia for rod in self.model.rods])
-        return kernels.Account(np.zeros(3), loss, early, inertia, length, np.zeros(len(self.model.lines)))
+        line = np.zeros(len(self.model.lines))
+        return kernels.Account(np.zeros(3), after, before, mixed, inertia, length, velocity, omega, line)
 
     def _pack_joints(self) -> tuple[kernels.Joints, FloatArray | None]:
         joints = self.model.joints

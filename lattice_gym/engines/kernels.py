@@ -3,12 +3,13 @@
 Rods with the same element count stand side by side in `LANES` lanes of one *block*: record n of a block holds
 node n, element n and the Voronoi region between elements n and n + 1 of each of its rods. Every field of the
 structured dtype has a compile-time offset, so LLVM proves that fields do not alias and turns each
-`for j in range(LANES)` loop into packed instructions. A spare lane holds a copy of a rod without joints.
+`for j in range(LANES)` loop into packed instructions. A spare lane holds a copy of a rod that neither moves nor turns.
 
 The equations are those of Gazzola et al. 2018 (R. Soc. Open Sci. 5:171628) as PyElastica 1.0.0 discretises them:
 circular sections (so J3 = 2 J1), linear elasticity, volume-preserving stretch. Within a step, in this order:
-joints, point loads, internal forces and muscle tension, kick, damping, drift. The half drift that ends a step and the
-one that begins the next are one full drift; the first and the last of a call are halves.
+joints, point loads, internal forces and muscle tension, kick, drift; damping goes along with the kick or comes after
+it, see `engines.Splitting`. The half drift that ends a step and the one that begins the next are one full drift; the
+first and the last of a call are halves.
 
 All of this stands in one file because numba's cache looks at one file only: a helper elsewhere could be edited
 and the old machine code would run on.
@@ -82,16 +83,20 @@ class Account(NamedTuple):
     """Energy that enters and leaves, added up step by step for whoever asks; see `_account`.
 
     `total` is the work of the muscles and of torques, and what was dissipated [J], shape (3,). By record and lane,
-    shape (n_cell, LANES): the share of a node's squared speed that damping took to leave it (`loss`) and takes before a
-    kick (`loss_before`) [kg], the inertia of an element [kg m^2], and lengths of muscles at the step before [m]. `line`
-    are those of the lines [m], shape (n_line,).
+    shape (n_cell, LANES): what damping takes from a node, per square of its speed after the kick (`after`) and before
+    (`before`) and per product of both (`mixed`) [kg], the inertia of an element [kg m^2], lengths of muscles at the
+    step before [m]; with components, shape (n_cell, 3, LANES): velocities and spins at the step before. `line` are the
+    lengths of lines at the step before [m], shape (n_line,).
     """
 
     total: npt.NDArray[np.float64]
-    loss: npt.NDArray[np.float64]
-    loss_before: npt.NDArray[np.float64]
+    after: npt.NDArray[np.float64]
+    before: npt.NDArray[np.float64]
+    mixed: npt.NDArray[np.float64]
     inertia: npt.NDArray[np.float64]
     length: npt.NDArray[np.float64]
+    velocity: npt.NDArray[np.float64]
+    omega: npt.NDArray[np.float64]
     line: npt.NDArray[np.float64]
 
 
@@ -270,7 +275,7 @@ def _spin_element(pair: Cells, dt: float, spin_damping: float | None, symmetric:
                 across = 0.5 * (1.0 + keep[j]) * late[j]
                 h0, h1, h2 = h0 * across, h1 * across, h2 * late[j]
                 a0, a1, a2 = a0 * keep[j] * keep[j], a1 * keep[j] * keep[j], a2 * keep[j]
-            t = 0.25 * dt * (w2 + a2 + h2) * free[j]
+            t = 0.25 * dt * (w2 * early + a2 + h2)
             s = 2.0 * t / (1.0 + t * t)
             m0, m1 = a0 + 0.5 * h0, a1 + 0.5 * h1
             du, dv, dw = v1[0, j] - v0[0, j], v1[1, j] - v0[1, j], v1[2, j] - v0[2, j]
@@ -488,10 +493,10 @@ def advance(
         _step_blocks(cells, passive, dt, drift, None, couples, spin_damping, symmetric)
         _step_blocks(cells, active, dt, drift, 1.0, couples, spin_damping, symmetric)
         if account is not None:
-            _account(cells, passive, account, None, couples, spin_damping, symmetric, 0.0, dt)
-            _account(cells, active, account, 1.0, couples, spin_damping, symmetric, 1.25 if step == 0 else 1.5, dt)
             if joint_damping is not None:
                 _joint_loss(cells, joints, joint_damping, account, dt)
+            _account(cells, passive, account, None, couples, spin_damping, symmetric, 0.0, dt)
+            _account(cells, active, account, 1.0, couples, spin_damping, symmetric, 1.25 if step == 0 else 1.5, dt)
     if account is not None:
         _close_account(cells, active, account)
         if lines is not None:
@@ -523,59 +528,82 @@ def _account(
     """Add what the step just taken did: muscle work, work of torques, dissipation.
 
     Muscles work by the trapezoid rule on their lengths at the kicks: half of either tension times the shortening, where
-    the mean tension is `ago` rises before the one that comes next. Damping took from a node that moves with u now
-    m (1/after^2 - 1) u^2 / 2 of the share that `damping_shares` leaves after a kick, and from a spin likewise.
+    the mean tension is `ago` rises before the one that comes next. All else works at the mean velocity of a step. A
+    damper that leaves the shares a and b of a velocity before and after the kick (`engines.damping_shares`) takes what
+    a force f does so, f (u + u') dt / 2 with u' = a b u + b f dt / m, and u' does not show:
+
+        m / 2 [(1/b - 1) u'^2 + (1 - a) u^2 + (1/b - a) u u']
     """
     work, twist, lost = 0.0, 0.0, 0.0
     for b in range(block.shape[0]):
         first, last = block[b, 0], block[b, 1] - 1
         for n in range(first, last + 1):
-            v, loss, before = cells[n].v, account.loss[n], account.loss_before[n]
-            for j in range(LANES):
-                lost += (loss[j] + before[j]) * (v[0, j] * v[0, j] + v[1, j] * v[1, j] + v[2, j] * v[2, j])
+            v, u = cells[n].v, account.velocity[n]
+            after, before, mixed = account.after[n], account.before[n], account.mixed[n]
+            for i in range(3):
+                for j in range(LANES):
+                    lost += v[i, j] * (after[j] * v[i, j] + mixed[j] * u[i, j]) + before[j] * u[i, j] * u[i, j]
+                    u[i, j] = v[i, j]
         for n in range(first, last):
-            here = cells[n]
+            here, early = cells[n], account.omega[n]
+            w, couple = here.w, here.couple
             if tension is not None:
                 pull, rise, length, previous = here.tension, here.tension_rise, here.length, account.length[n]
                 for j in range(LANES):
                     work += (pull[j] - ago * rise[j]) * (previous[j] - length[j])
                     previous[j] = length[j]
             if couples is not None:
-                w, couple = here.w, here.couple
-                for j in range(LANES):
-                    twist += dt * (couple[0, j] * w[0, j] + couple[1, j] * w[1, j] + couple[2, j] * w[2, j])
+                for i in range(3):
+                    for j in range(LANES):
+                        twist += 0.5 * dt * couple[i, j] * (early[i, j] + w[i, j])
             if spin_damping is not None:
-                w, keep, late, dilatation, inertia = (
-                    here.w, here.spin_keep, here.spin_late, here.dilatation, account.inertia[n]
-                )  # fmt: skip
+                lost += _spin_loss(here, early, account.inertia[n], symmetric)
+            for i in range(3):
                 for j in range(LANES):
-                    if symmetric is not None:
-                        late_across = 0.5 * (1.0 + keep[j]) * late[j]
-                        across = 1.0 / late_across**2 - (keep[j] * keep[j] / late_across) ** 2
-                        along = 1.0 / late[j] ** 2 - (keep[j] / late[j]) ** 2
-                    else:
-                        left = max(keep[j], _LEAST_KEEP)
-                        across, along = 1.0 / (left * left * left * left) - 1.0, 1.0 / (left * left) - 1.0
-                    across *= w[0, j] * w[0, j] + w[1, j] * w[1, j]
-                    lost += 0.5 * inertia[j] / dilatation[j] * (across + 2.0 * along * w[2, j] * w[2, j])
+                    early[i, j] = w[i, j]
     account.total[0] += work
     account.total[1] += twist
     account.total[2] += lost
 
 
 @compiled
+def _spin_loss(
+    here: Any, early: npt.NDArray[np.float64], inertia: npt.NDArray[np.float64], symmetric: float | None
+) -> float:
+    """Energy that damping took from the spin of element e in the step just taken; see `_account`."""
+    w, keep, late, dilatation = here.w, here.spin_keep, here.spin_late, here.dilatation
+    lost = 0.0
+    for i in range(3):
+        for j in range(LANES):
+            left = max(keep[j], _LEAST_KEEP)
+            if symmetric is not None:
+                after = late[j] if i == 2 else 0.5 * (1.0 + keep[j]) * late[j]
+                before = (keep[j] if i == 2 else keep[j] * keep[j]) / after
+            else:
+                after, before = left if i == 2 else left * left, 1.0
+            taken = (1.0 / after - 1.0) * w[i, j] * w[i, j] + (1.0 - before) * early[i, j] * early[i, j]
+            taken += (1.0 / after - before) * early[i, j] * w[i, j]
+            lost += (1.0 if i == 2 else 0.5) * inertia[j] / dilatation[j] * taken
+    return lost
+
+
+@compiled
 def _open_account(cells: Cells, active: npt.NDArray[np.int64], account: Account) -> None:
-    """Note the muscles' lengths, and what the first damping before a kick takes."""
+    """Note velocities, spins and the muscles' lengths."""
+    for n in range(cells.shape[0]):
+        v, w = cells[n].v, cells[n].w
+        for i in range(3):
+            for j in range(LANES):
+                account.velocity[n, i, j], account.omega[n, i, j] = v[i, j], w[i, j]
     for b in range(active.shape[0]):
         for n in range(active[b, 0], active[b, 1] - 1):
             for j in range(LANES):
                 account.length[n, j] = _length(cells[n : n + 2], j)
-    account.total[2] += _early_loss(cells, account)
 
 
 @compiled
 def _close_account(cells: Cells, active: npt.NDArray[np.int64], account: Account) -> None:
-    """Add the muscles' work over the last half drift; give back what no damping before a kick took any more."""
+    """Add the muscles' work over the last half drift."""
     work = 0.0
     for b in range(active.shape[0]):
         for n in range(active[b, 0], active[b, 1] - 1):
@@ -583,19 +611,6 @@ def _close_account(cells: Cells, active: npt.NDArray[np.int64], account: Account
                 pull = cells[n].tension[j] - 0.75 * cells[n].tension_rise[j]
                 work += pull * (account.length[n, j] - _length(cells[n : n + 2], j))
     account.total[0] += work
-    account.total[2] -= _early_loss(cells, account)
-
-
-@compiled
-def _early_loss(cells: Cells, account: Account) -> float:
-    """Energy that the half damping before a kick takes from all nodes as they move now."""
-    lost = 0.0
-    for n in range(cells.shape[0]):
-        for j in range(LANES):
-            v = cells[n].v
-            square = v[0, j] * v[0, j] + v[1, j] * v[1, j] + v[2, j] * v[2, j]
-            lost += account.loss_before[n, j] * square
-    return lost
 
 
 @compiled
@@ -618,13 +633,14 @@ def _line_work(cells: Cells, lines: Lines, account: Account, ago: float) -> None
 
 @compiled
 def _joint_loss(cells: Cells, joints: Joints, damping: npt.NDArray[np.float64], account: Account, dt: float) -> None:
-    """Add what the joints' dashpots took."""
+    """Add what the joints' dashpots took in the step just taken: they pull with the velocities from before the kick."""
     lost = 0.0
     for n in range(joints.cell_a.shape[0]):
-        a, b, la, lb = cells[joints.cell_a[n]], cells[joints.cell_b[n]], joints.lane_a[n], joints.lane_b[n]
+        a, b, la, lb = joints.cell_a[n], joints.cell_b[n], joints.lane_a[n], joints.lane_b[n]
         for i in range(3):
-            rate = b.v[i, lb] - a.v[i, la]
-            lost += damping[n] * rate * rate
+            before = account.velocity[b, i, lb] - account.velocity[a, i, la]
+            rate = cells[b].v[i, lb] - cells[a].v[i, la]
+            lost += 0.5 * damping[n] * before * (before + rate)
     account.total[2] += dt * lost
 
 

@@ -12,14 +12,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Literal
 
 import numpy as np
 
 from lattice_gym.design import FloatArray, LatticeDesign
 from lattice_gym.engines import Engine, EngineName, Splitting, make_engine
 from lattice_gym.lattice import build_lattice
-from lattice_gym.model import Clamp, RodModel, RodState, build_model
+from lattice_gym.model import Clamp, PointTorque, RodModel, RodState, build_model
 from lattice_gym.muscles import named_layout
 from lattice_gym.reports.cases import LENGTH, SPEED, bar, energy
 from lattice_gym.reports.scene import Reading, Scene, pass_time, with_velocity
@@ -147,41 +146,57 @@ def _bar_errors(build: Callable[[float], Scene], sizes: Sequence[float], engine:
     return Errors(tuple(scene.dt for scene in scenes), tuple(errors))
 
 
-SPINNING_TIME, SPINNING_STRETCH = 1.0, 1.05
-SPINNING_STEPS = (320, 640, 1280)
-SPINNING_SPIN = (2.0, 0.0, 6.0)
+SPINNING_TIME, SPINNING_STRETCH = 0.1, 1.25
+"""Time [s], a sixth of the period in which the stretch rings: over whole periods errors that go with the rate of
+stretch cancel."""
+SPINNING_STEPS = (160, 320, 640)
+SPINNING_SPIN = (2.0, 0.0, 30.0)
 """Angular velocity at the start, in the frame of the rod [rad/s]."""
+SPINNING_RATE, SPINNING_TORQUE = 5.0, (0.5, 0.2, 3.0)
+"""Damping rate [1/s], and torque on every element in its own frame [N m], of the damped rod."""
 REFERENCE_SHARE = 8
 """Steps of the reference run in the smallest step that is judged."""
 
 
 @cache
-def _spinning_rod() -> tuple[RodModel, RodState]:
-    """Free, undamped and soft rod that tumbles and twists as a whole, evenly stretched; its stretch rings."""
-    model = RodModel(rods=(bar(6, youngs_modulus=1e4),))
+def _spinning_rod(damped: bool) -> tuple[RodModel, RodState]:
+    """Free, soft rod that tumbles and twists as a whole, evenly stretched: it rings. Torques drive the damped one."""
+    rod = bar(6, rate=SPINNING_RATE if damped else 0.0, youngs_modulus=1e4)
+    torques = tuple(PointTorque(0, element, SPINNING_TORQUE) for element in range(rod.n_elem)) if damped else ()
+    model = RodModel(rods=(rod,), torques=torques)
     rest = model.rest_state()
     position = SPINNING_STRETCH * rest.position
     velocity = np.cross(rest.directors[0].T @ SPINNING_SPIN, position)
-    return model, replace(rest, position=position, velocity=velocity, omega=np.tile(SPINNING_SPIN, (6, 1)))
+    return model, replace(rest, position=position, velocity=velocity, omega=np.tile(SPINNING_SPIN, (rod.n_elem, 1)))
 
 
 @cache
-def _spinning_end(engine: EngineName, splitting: Splitting, steps: int) -> RodState:
+def _spinning_end(engine: EngineName, splitting: Splitting, damped: bool, steps: int) -> RodState:
     """State after SPINNING_TIME."""
-    model, start = _spinning_rod()
+    model, start = _spinning_rod(damped)
     made = make_engine(engine, model, SPINNING_TIME / steps, splitting)
     made.restore(start)
     pass_time(made, SPINNING_TIME)
     return made.state
 
 
-def _spinning_errors(field: Literal["position", "directors"], engine: EngineName, splitting: Splitting) -> Errors:
-    """Errors of node positions, over the length, or of directors; the reference is fused and symmetric."""
-    reference = getattr(_spinning_end("fused", "symmetric", REFERENCE_SHARE * SPINNING_STEPS[-1]), field)
-    scale = LENGTH if field == "position" else 1.0
-    ends = [getattr(_spinning_end(engine, splitting, steps), field) for steps in SPINNING_STEPS]
-    errors = tuple(float(np.abs(end - reference).max() / scale) for end in ends)
+SPINNING_SCALES = {"position": LENGTH, "directors": 1.0, "omega": float(np.linalg.norm(SPINNING_SPIN))}
+"""What errors of a field are relative to."""
+
+
+def _spinning_errors(field: str, damped: bool, engine: EngineName, splitting: Splitting) -> Errors:
+    """Errors of a field over its scale; the reference is fused and symmetric."""
+    reference = getattr(_spinning_end("fused", "symmetric", damped, REFERENCE_SHARE * SPINNING_STEPS[-1]), field)
+    ends = [getattr(_spinning_end(engine, splitting, damped, steps), field) for steps in SPINNING_STEPS]
+    errors = tuple(float(np.abs(end - reference).max() / SPINNING_SCALES[field]) for end in ends)
     return Errors(tuple(SPINNING_TIME / steps for steps in SPINNING_STEPS), errors)
+
+
+def _spinning_scenes() -> Iterator[StepScene]:
+    for damped, name in ((False, "spinning rod"), (True, "spinning rod, damped and driven")):
+        for field, shown in (("position", "positions"), ("directors", "directors"), ("omega", "spin")):
+            measure = partial(_spinning_errors, field, damped)
+            yield StepScene(name=f"{name}, {shown}", measure=measure, damped=damped, spinning=True)
 
 
 LATTICE_TIME, LATTICE_TENSION = 0.02, 0.2
@@ -223,8 +238,7 @@ STEP_SCENES = (
         measure=partial(_bar_errors, partial(ringing_bar, RINGING_RATE), SHARES),
         damped=True,
     ),
-    StepScene(name="spinning rod, positions", measure=partial(_spinning_errors, "position"), spinning=True),
-    StepScene(name="spinning rod, directors", measure=partial(_spinning_errors, "directors"), spinning=True),
+    *_spinning_scenes(),
     StepScene(name="default lattice, undamped", measure=partial(_lattice_errors, False), heavy=True),
     StepScene(name="default lattice, damped", measure=partial(_lattice_errors, True), damped=True, heavy=True),
 )

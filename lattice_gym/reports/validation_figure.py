@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 _INK, _GREY, _PALE = "#22303c", "#7c8894", "#d5dde4"
 _COLOUR = {"fused": "#0b7fab", "pyelastica": "#e4572e"}
-_SCENE_COLOURS = ("#0b7fab", "#e4572e", "#2a9d5c", "#8e5bb5", "#d19a00", "#6b7a88", "#1f3b73")
+_SCENE_COLOURS = (
+    *("#0b7fab", "#e4572e", "#2a9d5c", "#8e5bb5", "#d19a00", "#6b7a88"),
+    *("#1f3b73", "#b5446e", "#4aa3a2", "#8c6d31", "#3d9a3d"),
+)
 _MOST_MARKS = 16
 _COLUMNS = 6
 _ELEMENT_TICKS = (4, 8, 16, 32, 64, 128, 256)
