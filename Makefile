@@ -1,14 +1,18 @@
-# make demo   trains a policy on LatticeWorm-v0 and films it      make test   every check
+# make demo   trains a policy on LatticeWorm-v0 and films it; run again it continues.
+#             FRESH=1 starts over, VIDEO=0 does not film.
+# make test   every check
 # Both start from a bare CPython 3.11 or newer with pip, and reuse .venv when it is up to date.
 PYTHON ?= python3
 JOBS ?= 2
+FRESH ?= 0
+VIDEO ?= 1
 BIN := .venv/bin
 STAMP := .venv/.installed
 
 .PHONY: demo test clean
 
 demo: $(STAMP)
-	$(BIN)/python -m agents.demo
+	$(BIN)/python -m agents.demo $(if $(filter-out 0,$(FRESH)),--fresh) $(if $(filter 0,$(VIDEO)),--no-video)
 
 test: $(STAMP)
 	$(BIN)/ruff check

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import tyro
-
-from agents.config import TrainConfig, errors_as_messages
+from agents.command_line import as_program, options
+from agents.config import TrainConfig
 from agents.training import resume_settings, train
+
+NAME = "python train.py"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Read the command line and train; with --resume, whatever is not given is as the run had it."""
-    config = tyro.cli(TrainConfig, args=arguments)
+    config = options(TrainConfig, NAME, arguments)
     if config.resume is not None:
-        config = tyro.cli(TrainConfig, args=arguments, default=resume_settings(config.resume))
+        config = options(TrainConfig, NAME, arguments, resume_settings(config.resume))
     print(f"run folder: {train(config)}")
 
 
 if __name__ == "__main__":
-    with errors_as_messages():
+    with as_program():
         main()

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-import tyro
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from agents import run_folder
-from agents.config import InputError, TrainConfig, errors_as_messages
+from agents.command_line import as_program, options
+from agents.config import InputError, TrainConfig
 from agents.environments import Env, make_env, make_vector_env
 from agents.training import new_model
 from lattice_gym.reports.provenance import footer
@@ -188,5 +188,5 @@ def main(config: BenchmarkConfig) -> None:
 
 
 if __name__ == "__main__":
-    with errors_as_messages():
-        main(tyro.cli(BenchmarkConfig))
+    with as_program():
+        main(options(BenchmarkConfig, "python -m agents.benchmark"))

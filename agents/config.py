@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
+
+from lattice_gym.fidelity import FidelityName
 
 Task = Literal["extension", "compression", "bending", "peristalsis"]
 Control = Literal["muscle", "ring", "column"]
@@ -20,6 +20,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "control": get_args(Control),
     "engine": get_args(Engine),
     "observation": get_args(Observation),
+    "fidelity": get_args(FidelityName),
 }
 _WHOLE = {
     "total_steps": "[1, inf)",
@@ -52,15 +53,6 @@ _PLACES = ("design", "muscles", "run_dir", "resume")  # files of this machine, k
 
 class InputError(ValueError):
     """Input that cannot be used; the command lines print it without a traceback."""
-
-
-@contextmanager
-def errors_as_messages() -> Iterator[None]:
-    """End the program with a line of text, not a traceback, on an InputError."""
-    try:
-        yield
-    except InputError as error:
-        sys.exit(f"error: {error}")
 
 
 def within(value: float, interval: str) -> bool:
@@ -101,6 +93,8 @@ class TrainConfig:
     """Time between two actions [s]."""
     observation: Observation = "sites"
     """What the policy sees of the rods: the nodes where they cross, or all nodes."""
+    fidelity: FidelityName = "default"
+    """How finely the worm is computed: fast is three times cheaper, to be scored on default or fine."""
 
     n_envs: int = 8
     """Worms simulated side by side, one process each; 1 runs it in this process."""

@@ -6,6 +6,7 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Mapping
 from functools import partial
+from multiprocessing import forkserver, resource_tracker
 from typing import Any, cast
 
 import gymnasium
@@ -15,6 +16,7 @@ from gymnasium.wrappers import RescaleAction
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecCheckNan, VecEnv
 
+from agents.command_line import SIGNALS
 from agents.config import InputError
 
 Env = gymnasium.Env[Any, Any]
@@ -72,7 +74,7 @@ def make_vector_env(arguments: Mapping[str, Any], n_envs: int) -> VecEnv:
     if n_envs == 1:
         return VecCheckNan(DummyVecEnv(worms), raise_exception=True)
     _compile(arguments)
-    multiprocessing.set_forkserver_preload([__name__])  # imported once, not once a process
+    _start_server()
     return VecCheckNan(WormProcesses(worms), raise_exception=True)
 
 
@@ -97,6 +99,20 @@ class WormProcesses(SubprocVecEnv):
         self.closed = True
 
 
+def _start_server() -> None:
+    """Start what the processes are forked from, deaf to the signals that end the learner, which then ends them.
+
+    It inherits the mask, so there is no moment at which ctrl-C could reach them and have them print tracebacks.
+    """
+    multiprocessing.set_forkserver_preload([__name__])  # imported once, not once a process
+    resource_tracker.ensure_running()  # which would lift the mask
+    previous = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous)
+
+
 def _compile(arguments: Mapping[str, Any]) -> None:
     """Take one step, so that processes started later find compiled code on the disk instead of each compiling it."""
     env = make_env(arguments)
@@ -106,8 +122,5 @@ def _compile(arguments: Mapping[str, Any]) -> None:
 
 
 def _monitored(arguments: Mapping[str, Any]) -> Env:
-    """One worm; in a process of its own it leaves signals to the learner, which ends it in good order."""
-    if multiprocessing.parent_process() is not None:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
+    """One worm whose episodes are summed up."""
     return Monitor(make_env(arguments))

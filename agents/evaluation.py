@@ -6,6 +6,7 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,10 +16,13 @@ import tyro
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from agents import run_folder
-from agents.config import InputError, errors_as_messages
+from agents.command_line import Progress
+from agents.command_line import run as run_program
+from agents.config import InputError
 from agents.environments import Env, make_env
 from agents.run_folder import Run
 from agents.training import gathered, load_model, load_normaliser, worm_seeds
+from lattice_gym.fidelity import FidelityName
 from lattice_gym.gaits import gait, grouped
 
 PolicyName = Literal["policy", "gait", "nothing", "random"]
@@ -130,13 +134,16 @@ def play(env: Env, start: Start, seed: int) -> Iterator[Step]:
         yield Step(float(reward), info)
 
 
-def score(env: Env, start: Start, seeds: range) -> Score:
-    """Play one episode a seed."""
+def score(env: Env, start: Start, seeds: range, progress: Callable[[str], object] = lambda _line: None) -> Score:
+    """Play one episode a seed; `progress` is called with a line of text at every step."""
     returns: list[float] = []
     outcomes: list[dict[str, float]] = []
     diverged = 0
     for seed in seeds:
-        steps = list(play(env, start, seed))
+        steps: list[Step] = []
+        for step in play(env, start, seed):
+            progress(f"episode {len(returns) + 1} of {len(seeds)}, step {len(steps)}")
+            steps.append(step)
         returns.append(sum(step.reward for step in steps))
         outcomes.append(steps[-1].info["outcome_errors"])
         diverged += steps[-1].info["status"] != "ok"
@@ -149,16 +156,23 @@ def score(env: Env, start: Start, seeds: range) -> Score:
     )
 
 
-def evaluate(path: Path, episodes: int = 10, seed: int = EVALUATION_SEED, command: str = "") -> dict[PolicyName, Score]:
+def evaluate(
+    path: Path,
+    episodes: int = 10,
+    seed: int = EVALUATION_SEED,
+    command: str = "",
+    fidelity: FidelityName | None = None,
+) -> dict[PolicyName, Score]:
     """Score the newest checkpoint and the baselines on the same seeds and write evaluation.json.
 
-    Raises InputError on a damaged run folder and where an episode would have a seed of training.
+    The worm is computed at the fidelity given, by default at that of training. Raises InputError on
+    a damaged run folder and where an episode would have a seed of training.
     """
     if episodes < 1:
         raise InputError(f"episodes = {episodes}: must be 1 or more")
     if seed < 0:
         raise InputError(f"seed = {seed}: must be 0 or more")
-    run = Run.open(path)
+    run = Run.open(path).at(fidelity)
     sessions = run_folder.read_sessions(path / run_folder.VERSIONS)
     seeds = range(seed, seed + episodes)
     for session in sessions:
@@ -168,12 +182,14 @@ def evaluate(path: Path, episodes: int = 10, seed: int = EVALUATION_SEED, comman
     env = make_env(run.env_arguments)
     checkpoint = run.newest
     starts: dict[PolicyName, Start] = {"policy": trained_policy(checkpoint, env), **BASELINES}
-    scores = {name: score(env, start, seeds) for name, start in starts.items()}
+    progress = Progress()
+    scores = {name: score(env, start, seeds, partial(progress, POLICIES[name])) for name, start in starts.items()}
     env.close()
     report = {
         "made": run_folder.made_by(command),
         "trained_with": sessions,
         "task": run.config.task,
+        "fidelity": run.fidelity,
         "steps": int(checkpoint.name),
         "seeds": list(seeds),
         "policies": {
@@ -202,6 +218,7 @@ def main(
     run: Annotated[Path, tyro.conf.Positional],
     episodes: int = 10,
     seed: int = EVALUATION_SEED,
+    fidelity: FidelityName | None = None,
 ) -> None:
     """Print mean and spread of return and outcome over seeded episodes, the same for every policy.
 
@@ -215,13 +232,14 @@ def main(
         Episodes of each policy.
     seed
         Seed of the first episode; the next one has seed + 1.
+    fidelity
+        How finely the worm is computed; as in training by default.
     """
     command = shlex.join(["python", "-m", "agents.evaluation", *sys.argv[1:]])
-    scores = evaluate(run, episodes, seed, command)
+    scores = evaluate(run, episodes, seed, command, fidelity)
     print(format_scores(scores))
     print(f"\nmean +- standard deviation over {episodes} episodes; written to {run / run_folder.EVALUATION}")
 
 
 if __name__ == "__main__":
-    with errors_as_messages():
-        tyro.cli(main)
+    run_program(main, "python -m agents.evaluation")

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from tqdm import tqdm
 
 from agents import run_folder
-from agents.config import InputError, errors_as_messages
+from agents.command_line import Progress
+from agents.command_line import run as run_program
+from agents.config import InputError
 from agents.environments import make_env
 from agents.evaluation import EVALUATION_SEED, POLICIES, PolicyName, make_policy, play
 from agents.run_folder import Run
 from lattice_gym.env import OK
+from lattice_gym.fidelity import FidelityName
 from lattice_gym.rendering import plot_activation, render_video
 from lattice_gym.trajectory import Recorder, Trajectory, replacing
 
@@ -50,8 +51,9 @@ def record(run: Run, policy: PolicyName = "policy", seed: int = EVALUATION_SEED)
     env = make_env(run.env_arguments)
     worm: Any = env.unwrapped
     recorder = Recorder(worm.design, worm.layout, run.config.task)
-    total = 0.0
-    for step in play(env, make_policy(policy, run, env), seed):
+    total, progress = 0.0, Progress()
+    for number, step in enumerate(play(env, make_policy(policy, run, env), seed)):
+        progress(f"recording: step {number}")
         total += step.reward
         status = step.info["status"]
         parts = (f"return {total:.2f}", worm.task.caption(worm.state.position), "" if status == OK else status)
@@ -66,14 +68,16 @@ def export(
     policy: PolicyName = "policy",
     seed: int = EVALUATION_SEED,
     gif: tuple[float, float] | None = None,
+    fidelity: FidelityName | None = None,
 ) -> Artefacts:
     """Record an episode into the run folder with its video, heat map and the run's learning curve.
 
-    `gif` is the span [s] of which an animated GIF is written too. Raises InputError that names the missing or damaged
-    file of the run folder, or a span that holds no frames of the episode.
+    `gif` is the span [s] of which an animated GIF is written too. The worm is computed at the fidelity given, which
+    then is in the names of the files, by default at that of training. Raises InputError that names the missing or
+    damaged file of the run folder, or a span that holds no frames of the episode.
     """
-    run = Run.open(path)
-    stem = f"{policy}-{seed}"
+    run = Run.open(path).at(fidelity)
+    stem = f"{policy}-{seed}" + ("" if run.fidelity == run.config.fidelity else f"-{run.fidelity}")
     files = Artefacts(
         path / f"{stem}.npz",
         path / f"{stem}.mp4",
@@ -83,12 +87,14 @@ def export(
     )
     plot_learning_curve(run, files.learning_curve)
     trajectory = record(run, policy, seed)
+    progress = Progress()
     if gif is not None and files.gif is not None:
-        render_video(span(trajectory, gif), files.gif, size=GIF_SIZE)
+        render_video(
+            span(trajectory, gif), files.gif, size=GIF_SIZE, progress=lambda k, n: progress(f"GIF: frame {k} of {n}")
+        )
     trajectory.save(files.trajectory)
     plot_activation(trajectory, files.activation)
-    with tqdm(total=trajectory.n_frame, desc="filming", unit="frame", disable=not sys.stderr.isatty()) as bar:
-        render_video(trajectory, files.video, progress=lambda done, _all: bar.update(done - bar.n))
+    render_video(trajectory, files.video, progress=lambda k, n: progress(f"filming: frame {k} of {n}"))
     return files
 
 
@@ -117,8 +123,10 @@ def plot_learning_curve(run: Run, path: Path) -> None:
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     axes = figure.subplots()
     low, high = ([m + side * s for m, s in zip(mean, spread, strict=True)] for side in (-1.0, 1.0))
-    axes.fill_between(steps, low, high, color="tab:blue", alpha=0.2, linewidth=0.0)
     axes.plot(steps, mean, color="tab:blue", label="in training, with exploration")
+    axes.fill_between(
+        steps, low, high, color="tab:blue", alpha=0.2, linewidth=0.0, label="± standard deviation over episodes"
+    )
     for (name, level), colour in zip(
         evaluated(run).items(), ("black", "tab:green", "tab:gray", "tab:orange"), strict=False
     ):
@@ -133,7 +141,10 @@ def plot_learning_curve(run: Run, path: Path) -> None:
 
 
 def evaluated(run: Run) -> dict[str, float]:
-    """Mean return of every evaluated policy, the trained one only as its newest checkpoint; nothing before that."""
+    """Mean return of every evaluated policy, the trained one only as its newest checkpoint; nothing before that.
+
+    The names tell a fidelity other than that of training.
+    """
     path = run.path / run_folder.EVALUATION
     if not path.exists():
         return {}
@@ -141,9 +152,11 @@ def evaluated(run: Run) -> dict[str, float]:
     try:
         means = {name: float(report["policies"][name]["return_mean"]) for name in POLICIES}
         current = report["steps"] == run.steps
-    except (KeyError, TypeError, ValueError) as error:
+        fidelity = report.get("fidelity", run.config.fidelity)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: damaged or not of this kind: {error!r}") from error
-    return {title: means[name] for name, title in POLICIES.items() if current or name != "policy"}
+    note = "" if fidelity == run.config.fidelity else f" ({fidelity})"
+    return {title + note: means[name] for name, title in POLICIES.items() if current or name != "policy"}
 
 
 def main(
@@ -151,6 +164,7 @@ def main(
     policy: PolicyName = "policy",
     seed: int = EVALUATION_SEED,
     gif: tuple[float, float] | None = None,
+    fidelity: FidelityName | None = None,
 ) -> None:
     """Record one episode and write its trajectory, video, activation heat map and the learning curve.
 
@@ -164,11 +178,12 @@ def main(
         Seed of the episode.
     gif
         Start and end of a span of which an animated GIF is written too [s].
+    fidelity
+        How finely the worm is computed; as in training by default.
     """
-    for title, path in export(run, policy, seed, gif).written().items():
+    for title, path in export(run, policy, seed, gif, fidelity).written().items():
         print(f"{title:16}{path}")
 
 
 if __name__ == "__main__":
-    with errors_as_messages():
-        tyro.cli(main)
+    run_program(main, "python -m agents.rollouts")

@@ -23,12 +23,13 @@ import os
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from agents.config import InputError, TrainConfig
 from lattice_gym.design import LatticeDesign
+from lattice_gym.fidelity import FidelityName
 from lattice_gym.lattice import build_lattice
 from lattice_gym.muscles import MuscleLayout, resolve_layout
 from lattice_gym.reports.provenance import PACKAGES, provenance
@@ -69,6 +70,24 @@ class Run:
         layout = read_file(path / MUSCLES, lambda file: resolve_layout(_parse_json(file), build_lattice(design)))
         return cls(path, config, env_arguments(config, design, layout))
 
+    @property
+    def fidelity(self) -> FidelityName:
+        """How finely the worm is computed here; `config.fidelity` is how it was in training."""
+        name: FidelityName = self.env_arguments["fidelity"]
+        return name
+
+    def at(self, fidelity: FidelityName | None) -> Run:
+        """Run with its worm computed as finely as that, None: as in training; InputError if it cannot be."""
+        if fidelity is None or fidelity == self.fidelity:
+            return self
+        if fidelity not in get_args(FidelityName):
+            raise InputError(f"fidelity = {fidelity!r}: must be one of {', '.join(get_args(FidelityName))}")
+        if self.config.observation == "nodes":
+            raise InputError(
+                f"fidelity = {fidelity!r}: must be {self.fidelity!r}, as {self.path} observes all nodes, not sites"
+            )
+        return replace(self, env_arguments=self.env_arguments | {"fidelity": fidelity})
+
     def rows(self) -> list[dict[str, float]]:
         """Rows of progress.csv; what an update did not log is absent from its row."""
         return read_file(self.path / PROGRESS, read_rows)
@@ -106,6 +125,7 @@ def env_arguments(
         "engine": config.engine,
         "control_dt": config.control_dt,
         "observation": config.observation,
+        "fidelity": config.fidelity,
     }
 
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from datetime import datetime
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -25,44 +21,59 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from tqdm import tqdm
 
 from agents import run_folder
+from agents.command_line import LINE_EVERY, Stopped, on_signal
 from agents.config import InputError, TrainConfig
 from agents.environments import make_env, make_vector_env
 from agents.run_folder import Run, read_file
+from lattice_gym.design import LatticeDesign
 from lattice_gym.trajectory import replacing
 
-_LINE_EVERY = 10.0
-"""Least time between two lines of progress where there is no terminal [s]."""
 _DIVERGED = "worm/diverged_episodes"
 _MAY_CHANGE = ("total_steps", "time_limit", "design", "muscles", "run_dir", "resume")
 
 
 def train(config: TrainConfig) -> Path:
-    """Train, or continue `config.resume`, until total_steps, time_limit or ctrl-C; returns the run folder.
+    """Train, or continue `config.resume`, until total_steps or time_limit; returns the run folder.
 
     Training ends with a whole update, so it may take up to n_envs * n_steps - 1 steps more than asked for. Raises
-    InputError if the settings, the design or the run folder cannot be used.
+    InputError if the settings, the design or the run folder cannot be used, and Stopped, after a checkpoint, on ctrl-C
+    or termination; a second one ends it at once.
     """
     began = time.monotonic()
     config = replace(config, control=config.driven)
     torch.set_num_threads(config.torch_threads)
     run = create_run(config) if config.resume is None else reopen_run(config)
-    print(f"{run.path}: {run.steps} of {config.total_steps} steps done", flush=True)
+    done = f"{run.path}: {run.steps} of {config.total_steps} steps done"
     if run.steps >= config.total_steps:
+        print(f"{done}: nothing to do; raise --total-steps", flush=True)
         return run.path
+    print(done, flush=True)
+    try:
+        log = _learned(run, config, began)
+        if log.signal is not None:
+            raise Stopped(log.signal)
+    except Stopped as stopped:
+        raise Stopped(stopped.number, f"python train.py --resume {run.path}") from None
+    if log.stop_reason is not None and log.num_timesteps < config.total_steps:
+        print(f"stopped by {log.stop_reason}; continue with: python train.py --resume {run.path}", flush=True)
+    return run.path
+
+
+def _learned(run: Run, config: TrainConfig, began: float) -> TrainingLog:
+    """Log of the run after training; its last checkpoint is written."""
+    print(f"starting {config.n_envs} worker{'s' if config.n_envs > 1 else ''}", flush=True)
     venv = make_vector_env(run.env_arguments, config.n_envs)
     try:
         model = restored_model(run, venv) if run.steps else new_model(config, venv)
         run_folder.write_json(run.path / run_folder.CONFIG, config.to_dict())
         log = TrainingLog(run, model, began)
-        with _stop_on_signal(log):
+        with on_signal(log.stop):
             model.learn(config.total_steps - model.num_timesteps, callback=log, reset_num_timesteps=False)
             log.save()
         model.logger.close()
     finally:
         venv.close()
-    if log.stop_reason is not None and model.num_timesteps < config.total_steps:
-        print(f"stopped by {log.stop_reason}; continue with: python train.py --resume {run.path}", flush=True)
-    return run.path
+    return log
 
 
 def create_run(config: TrainConfig) -> Run:
@@ -70,11 +81,14 @@ def create_run(config: TrainConfig) -> Run:
     path = config.run_dir or Path("runs") / f"{config.task}-{config.seed}-{datetime.now():%Y%m%d-%H%M%S}"
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise InputError(f"run_dir = {path}: must be a new or empty folder; to continue that run give --resume {path}")
-    env = make_env(run_folder.requested_arguments(config))
+    arguments = run_folder.requested_arguments(config)
+    env = make_env(arguments)
     worm: Any = env.unwrapped
     env.close()
+    # As it was given: the worm's own has the mesh of the fidelity, from which another one could not tell this.
+    design = arguments["design"] or LatticeDesign().to_dict()
     with replacing(path) as unfinished:
-        run_folder.write_json(unfinished / run_folder.DESIGN, worm.design.to_dict())
+        run_folder.write_json(unfinished / run_folder.DESIGN, design)
         run_folder.write_json(unfinished / run_folder.MUSCLES, worm.layout.to_dict())
         run_folder.write_json(unfinished / run_folder.VERSIONS, [run_folder.session(0)])
         run_folder.write_json(unfinished / run_folder.CONFIG, config.to_dict())
@@ -205,12 +219,19 @@ class TrainingLog(BaseCallback):
         model.set_logger(Logger(str(run.path), [ProgressTable(path, rows), board]))
         self.model = model
         self.stop_reason: str | None = None
+        self.signal: int | None = None
         self._run = run
         self._began = began
         self._line_at = began
         self._saved_at = model.num_timesteps
         self._diverged = int(rows[-1].get(_DIVERGED, 0)) if rows else 0
         self._finished: list[dict[str, Any]] = []
+
+    def stop(self, number: int) -> None:
+        """End training in good order on a first signal, at once on a second."""
+        if self.signal is not None:
+            raise Stopped(number)
+        self.signal = number
 
     def save(self) -> None:
         """Write a checkpoint of the model as it is now."""
@@ -241,7 +262,7 @@ class TrainingLog(BaseCallback):
                 self._finished.append(info)
                 self._diverged += info["status"] != "ok"
         self._bar.update(self.locals["env"].num_envs)
-        return self.stop_reason is None
+        return self.stop_reason is None and self.signal is None
 
     def _on_rollout_end(self) -> None:
         returns = [info["episode"]["r"] for info in self._finished]
@@ -252,7 +273,7 @@ class TrainingLog(BaseCallback):
                 self.logger.record(f"worm/outcome_{name}", float(np.mean(values)))
         self.logger.record(_DIVERGED, self._diverged)
         self._finished.clear()
-        if returns and self._bar.disable and time.monotonic() - self._line_at > _LINE_EVERY:
+        if returns and self._bar.disable and time.monotonic() - self._line_at > LINE_EVERY:
             self._line_at = time.monotonic()
             seconds = self._line_at - self._began
             print(
@@ -288,23 +309,3 @@ class ProgressTable(KVWriter):
 
     def close(self) -> None:
         """Nothing is open between two rows."""
-
-
-@contextmanager
-def _stop_on_signal(log: TrainingLog) -> Iterator[None]:
-    """Let ctrl-C or a termination signal end the training in good order; a second one ends it at once."""
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        if log.stop_reason is not None:
-            signal.default_int_handler(number, frame)
-        log.stop_reason = signal.Signals(number).name
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)

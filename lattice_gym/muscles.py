@@ -298,7 +298,13 @@ def _pair(name: str, value: Sequence[Any]) -> tuple[Any, Any]:
     raise ValueError(f"{name}: {shown(value)} must be a pair")
 
 
+def _need_lattice(lattice: Lattice) -> None:
+    if not isinstance(lattice, Lattice):
+        raise ValueError(f"lattice = {shown(lattice)}: must be a Lattice, such as build_lattice(design) gives")
+
+
 def _need_levels(name: str, lattice: Lattice) -> None:
+    _need_lattice(lattice)
     if lattice.n_level == 0:
         raise ValueError(f"{name}: a lattice with uneven phases has no levels; tie its sites by hand with tie()")
 
@@ -314,6 +320,7 @@ def _levels(name: str, levels: Iterable[int], lattice: Lattice) -> list[int]:
 
 def _sites(muscles: Sequence[Muscle], lattice: Lattice) -> IntArray:
     """Start and end sites, shape (n, 2), each one of the lattice's."""
+    _need_lattice(lattice)
     sites = np.array([(muscle.start, muscle.end) for muscle in muscles], dtype=np.int64).reshape(-1, 2)
     if sites.size and sites.max() >= lattice.n_site:
         raise ValueError(f"muscles: site {sites.max()} does not exist; the lattice has sites 0 to {lattice.n_site - 1}")

@@ -9,8 +9,10 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +25,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from agents import demo as demo_module
 from agents import run_folder
 from agents.benchmark import BenchmarkConfig, benchmark
+from agents.command_line import as_program
 from agents.config import InputError, TrainConfig
 from agents.environments import make_env, make_vector_env, outcome_errors
 from agents.evaluation import (
     EVALUATION_SEED,
     POLICIES,
+    Score,
     evaluate,
     format_scores,
     hand_made_gait,
@@ -38,7 +42,7 @@ from agents.evaluation import (
 )
 from agents.rollouts import Artefacts, evaluated, export, record
 from agents.run_folder import Run
-from agents.training import new_model, resume_settings, step_size, train, worm_seeds
+from agents.training import TrainingLog, new_model, resume_settings, step_size, train, worm_seeds
 from lattice_gym.design import LatticeDesign
 from lattice_gym.gaits import gait
 from lattice_gym.rendering.extras import extra
@@ -147,11 +151,12 @@ def test_resume_continues_with_the_same_settings(copy: Path) -> None:
     assert [session["from_step"] for session in json.loads((copy / "versions.json").read_text())] == [0, 160]
 
 
-def test_resume_of_a_finished_run_changes_nothing(copy: Path) -> None:
-    """There is nothing left to do."""
+def test_resume_of_a_finished_run_changes_nothing(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """There is nothing left to do, and that is said."""
     before = {file: file.read_bytes() for file in sorted(copy.rglob("*")) if file.is_file()}
     train(resume_settings(copy))
     assert {file: file.read_bytes() for file in sorted(copy.rglob("*")) if file.is_file()} == before
+    assert capsys.readouterr().out == f"{copy}: 160 of 160 steps done: nothing to do; raise --total-steps\n"
 
 
 def test_a_checkpoint_cut_short_changes_nothing(copy: Path) -> None:
@@ -307,6 +312,66 @@ def test_time_limit_stops_with_a_checkpoint(tmp_path: Path, capsys: pytest.Captu
     )
     assert 0 < Run.open(path).steps < 160
     assert "stopped by time limit" in capsys.readouterr().out
+
+
+# Fidelity
+
+
+@pytest.fixture(scope="module")
+def fast(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Run folder of a tiny run on the coarse worm."""
+    return train(replace(TINY, fidelity="fast", total_steps=80, run_dir=tmp_path_factory.mktemp("runs") / "fast"))
+
+
+def _mesh(run: Run) -> int:
+    worm: Any = make_env(run.env_arguments).unwrapped
+    mesh: int = worm.design.elements_per_segment
+    return mesh
+
+
+def test_fidelity_is_the_runs_until_another_is_asked_for(fast: Path) -> None:
+    """The design stays as it was given, so that every fidelity can be had of it."""
+    run = Run.open(fast)
+    assert (run.config.fidelity, run.fidelity) == ("fast", "fast")
+    assert LatticeDesign.from_dict(json.loads((fast / "design.json").read_text())) == LatticeDesign()
+    assert [_mesh(run.at(name)) for name in (None, "fast", "default", "fine")] == [2, 2, 5, 16]
+
+
+def test_policy_of_a_coarse_worm_is_scored_on_a_finer_one(fast: Path, tmp_path: Path) -> None:
+    """Return and file names tell which worm it was."""
+    path = Path(shutil.copytree(fast, tmp_path / "fast"))
+    coarse = evaluate(path, episodes=1)
+    assert set(evaluated(Run.open(path))) == set(POLICIES.values())
+    finer = evaluate(path, episodes=1, fidelity="default")
+    assert json.loads((path / "evaluation.json").read_text())["fidelity"] == "default"
+    assert set(evaluated(Run.open(path))) == {f"{title} (default)" for title in POLICIES.values()}
+    assert finer["gait"].return_mean == pytest.approx(coarse["gait"].return_mean, rel=0.1)
+    assert finer["gait"].return_mean != coarse["gait"].return_mean
+    files = export(path, "gait", fidelity="default")
+    assert files.video.name == f"gait-{EVALUATION_SEED}-default.mp4"
+    assert Trajectory.load(files.trajectory).design == LatticeDesign()
+
+
+def test_folder_from_before_fidelity_loads(copy: Path) -> None:
+    """It is a run at the default one."""
+    settings = json.loads((copy / "config.json").read_text())
+    assert settings.pop("fidelity") == "default"
+    (copy / "config.json").write_text(json.dumps(settings))
+    assert Run.open(copy).fidelity == "default"
+    train(replace(resume_settings(copy), total_steps=240))
+    assert json.loads((copy / "config.json").read_text())["fidelity"] == "default"
+
+
+def test_fidelity_that_cannot_be_is_refused(copy: Path) -> None:
+    """An unknown one, one under which the policy would see other numbers, and another one in the middle of a run."""
+    run = Run.open(copy)
+    unknown: Any = "coarse"
+    with pytest.raises(InputError, match=r"^fidelity = 'coarse': must be one of fast, default, fine"):
+        run.at(unknown)
+    with pytest.raises(InputError, match=r"^fidelity = 'fast': must be 'default', as .* observes all nodes"):
+        replace(run, config=replace(run.config, observation="nodes")).at("fast")
+    with pytest.raises(InputError, match=r"^fidelity = 'fast': must be 'default'"):
+        train(replace(resume_settings(copy), total_steps=240, fidelity="fast"))
 
 
 # Evaluation
@@ -601,12 +666,66 @@ def test_demo_reuses_its_run(copy: Path, monkeypatch: pytest.MonkeyPatch, capsys
     learned = demo_module.demo(copy, TINY, episodes=1)
     means = {k: v["return_mean"] for k, v in json.loads((copy / "evaluation.json").read_text())["policies"].items()}
     assert learned == (means["policy"] > max(means["nothing"], means["random"]))
-    assert ("DOES NOT beat" in capsys.readouterr().out) == (not learned)
+    told = capsys.readouterr().out
+    assert ("DOES NOT beat" in told) == (not learned)
+    assert told.startswith(f"{copy} is trained, 160 steps; make demo FRESH=1 starts over\n")
+    assert f": {100.0 * means['policy'] / means['gait']:.0f} % of the hand-made gait after 160 steps (" in told
     assert (Run.open(copy).newest / "model.zip").read_bytes() == model
     with pytest.raises(InputError, match="other settings; discard it with"):
         demo_module.demo(copy, replace(TINY, seed=5))
     demo_module.demo(copy, replace(TINY, seed=5), fresh=True, episodes=1)
     assert Run.open(copy).config.seed == 5
+
+
+def test_demo_says_that_it_continues(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first line tells how to start over instead; without a video nothing is filmed."""
+    config = replace(Run.open(copy).config, total_steps=240)
+    (copy / "config.json").write_text(json.dumps(config.to_dict()))
+    demo_module.demo(copy, config, episodes=1, video=False)
+    assert capsys.readouterr().out.startswith(f"continuing {copy} at 160 steps; make demo FRESH=1 starts over\n")
+    assert Run.open(copy).steps == 240
+    assert not list(copy.glob("*.mp4"))
+
+
+def test_demo_ends_with_the_training_on_a_signal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A checkpoint, no evaluation, and the command that continues."""
+    step = TrainingLog._on_step
+
+    def interrupted(log: TrainingLog) -> bool:
+        if log.num_timesteps == 120:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return step(log)
+
+    monkeypatch.setattr(TrainingLog, "_on_step", interrupted)
+    monkeypatch.setattr(demo_module, "demo", partial(demo_module.demo, tmp_path / "demo", TINY))
+    with pytest.raises(SystemExit) as ended, as_program():
+        demo_module.main(video=False)
+    assert ended.value.code == 143
+    told = capsys.readouterr()
+    assert told.err == "stopped by SIGTERM; continue with: make demo\n"
+    assert "evaluating" not in told.out
+    assert 0 < Run.open(tmp_path / "demo").steps < 160
+
+
+def test_demo_needs_what_films_before_it_trains(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not after minutes of training."""
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    with pytest.raises(InputError, match=r"need pyvista: pip install .*; or leave the video out with --no-video"):
+        demo_module.demo(tmp_path / "demo", TINY)
+    assert not (tmp_path / "demo").exists()
+
+
+@pytest.mark.parametrize(("gait", "share"), [(162.6, ": 80 % of the hand-made gait after"), (-1.0, ": after")])
+def test_verdict_gives_steps_and_share_of_the_gait(gait: float, share: str) -> None:
+    """A share of a loss would mean nothing."""
+    returns = {"policy": 130.1, "gait": gait, "nothing": 0.0, "random": -66.4}
+    scores: Any = {name: Score((value,), {}, {}, 0) for name, value in returns.items()}
+    beats = "the trained policy beats doing nothing and random actions"
+    assert demo_module.verdict(scores, 43_016) == f"{beats}{share} 43,016 steps"
+    scores["nothing"] = scores["policy"]
+    assert "DOES NOT beat" in demo_module.verdict(scores, 43_016)
 
 
 def test_demo_deletes_only_run_folders(tmp_path: Path) -> None:
@@ -620,7 +739,7 @@ def test_demo_deletes_only_run_folders(tmp_path: Path) -> None:
 @pytest.mark.parametrize("better", [True, False])
 def test_demo_exit_status_tells_whether_it_learned(monkeypatch: pytest.MonkeyPatch, better: bool) -> None:
     """A demo that learned nothing fails."""
-    monkeypatch.setattr(demo_module, "demo", lambda fresh: better)
+    monkeypatch.setattr(demo_module, "demo", lambda fresh, video: better)
     if better:
         demo_module.main()
     else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import pickle
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,26 @@ def test_named_layouts_of_the_paper(name: str, count: int) -> None:
     layout = named_layout(name, LATTICE)
     assert len(layout) == len(layout.muscles) == count
     assert resolve_layout(name, LATTICE) == layout
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        horizontal,
+        vertical,
+        lambda design: horizontal(design, levels=[1]),
+        lambda design: tie(design, [(0, 17)]),
+        bending_layout,
+        lambda design: named_layout("all", design),
+        lambda design: resolve_layout(vertical(LATTICE), design),
+        lambda design: vertical(LATTICE).select(design, "vertical"),
+        lambda design: control_groups("ring", vertical(LATTICE), design),
+    ],
+)
+def test_a_design_is_no_lattice(build: Callable[[Any], object]) -> None:
+    """One error names the argument and what makes a lattice of a design."""
+    with pytest.raises(ValueError, match=r"^lattice = LatticeDesign\(.*: must be a Lattice.* build_lattice\(design\)"):
+        build(LatticeDesign())
 
 
 @pytest.mark.parametrize("lattice", [LATTICE, *EVEN])

@@ -120,6 +120,16 @@ def test_long_line_stays_in_the_picture(lattice: Lattice, model: RodModel) -> No
     assert 220 < columns.max() < 318
 
 
+def test_a_line_ends_before_a_bracket_rather_than_in_it() -> None:
+    """What was asked stands on a line of its own, where all does not fit on one; a bracket too long is broken."""
+    told, asked = "return -96.93   wave index 0.87, up at 0.108 m/s, amplitude 3.3 %", "(asked: up at 0.096 m/s, 5.6 %)"
+    assert scene.in_lines(f"{told} {asked}", 78) == f"{told}\n{asked}"
+    assert scene.in_lines(f"{told} {asked}   [0.5 x real time]", 78) == f"{told}\n{asked}   [0.5 x real time]"
+    assert scene.in_lines(f"strain 3 % {asked}", 78) == f"strain 3 % {asked}"
+    assert max(len(line) for line in scene.in_lines(f"{told} {asked}", 20).splitlines()) <= 20
+    assert scene.in_lines("", 20) == ""
+
+
 def test_each_muscle_has_its_own_colour(lattice: Lattice, model: RodModel) -> None:
     """A muscle at the back is paler but shown; the order is that of the model's muscles."""
     rest = rest_of(model)

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from agents.command_line import Progress, as_program, on_signal
 from agents.config import InputError, TrainConfig, within
 from agents.run_folder import Run
 from train import main as train_main
@@ -40,6 +42,7 @@ def test_within_agrees_with_comparisons(value: float, low: float, high: float) -
         ("control", "leg"),
         ("engine", "warp"),
         ("observation", "all"),
+        ("fidelity", "coarse"),
         ("total_steps", 0),
         ("total_steps", 1.5),
         ("seed", -1),
@@ -81,6 +84,7 @@ def test_bad_settings_name_field_and_value(field: str, value: Any) -> None:
     st.builds(
         TrainConfig,
         task=st.sampled_from(["extension", "compression", "bending", "peristalsis"]),
+        fidelity=st.sampled_from(["fast", "default", "fine"]),
         seed=st.integers(0, 2**32 - 1),
         rhythm=st.none() | st.floats(0.1, 10.0),
         gamma=st.floats(0.0, 1.0, exclude_min=True),
@@ -144,12 +148,58 @@ def test_killed_run_resumes_and_a_signal_saves(tmp_path: Path, number: signal.Si
     second = _start(["--resume", str(path)])
     _wait_for(lambda: Run.open(path).steps > steps, second)
     os.killpg(second.pid, number)  # as a terminal or a batch system does: to the learner and to every worm
+    os.kill(second.pid, number)  # and as make and timeout do: to the learner once more
     out, err = second.communicate(timeout=30)
-    assert second.returncode == 0, err
-    assert f"{path}: {steps} of 1000000 steps done" in out
-    assert f"stopped by {number.name}; continue with: python train.py --resume {path}" in out
+    assert second.returncode == 128 + number, err
+    assert f"{path}: {steps} of 1000000 steps done\nstarting 2 workers" in out
+    assert err == f"stopped by {number.name}; continue with: python train.py --resume {path}\n"
     assert [session["from_step"] for session in json.loads((path / "versions.json").read_text())] == [0, steps]
     assert not list(path.rglob("unfinished-*"))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_while_the_worms_start(tmp_path: Path, number: signal.Signals) -> None:
+    """No process of the group prints a traceback, whatever it was doing."""
+    path = tmp_path / "run"
+    process = _start(["--task", "extension", "--n-envs", "2", "--run-dir", str(path)])
+    _wait_for(path.exists, process)
+    time.sleep(0.5)
+    os.killpg(process.pid, number)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 128 + number, err
+    assert err == f"stopped by {number.name}; continue with: python train.py --resume {path}\n"
+
+
+def test_a_signal_that_comes_twice_at_once_is_one() -> None:
+    """One is often sent to a process and to its group; a later one is another."""
+    came: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+    with on_signal(came.append):
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1.1)
+        os.kill(os.getpid(), signal.SIGTERM)
+    assert came == [signal.SIGINT, signal.SIGTERM]
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_programs_end_with_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """A signal outside of training, or bad input: no traceback, and a status that says which."""
+    with pytest.raises(SystemExit) as ended, as_program():
+        signal.raise_signal(signal.SIGTERM)
+    assert ended.value.code == 143
+    assert capsys.readouterr().err == "stopped by SIGTERM\n"
+    with pytest.raises(SystemExit, match=r"^error: gamma = 2$"), as_program():
+        raise InputError("gamma = 2")
+
+
+def test_progress_is_told_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:
+    """Silent at first and between two lines."""
+    silent, chatty = Progress(every=60.0), Progress(every=0.0)
+    for number in range(3):
+        silent("trained policy", f"episode {number} of 3")
+        chatty("trained policy", f"episode {number} of 3")
+    assert capsys.readouterr().err == "".join(f"trained policy, episode {number} of 3\n" for number in range(3))
 
 
 def _start(arguments: list[str]) -> subprocess.Popen[str]:
@@ -165,6 +215,20 @@ def _wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> 
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < until
         time.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    "name", ["train.py", "agents.evaluation", "agents.rollouts", "agents.benchmark", "agents.demo"]
+)
+def test_programs_need_their_packages_and_name_themselves(name: str) -> None:
+    """The help tells how a program is called; an interpreter without the packages says how to get them."""
+    program = [name] if name == "train.py" else ["-m", name]
+    here = partial(subprocess.run, cwd=ROOT, capture_output=True, text=True, check=False)
+    told = here([sys.executable, *program, "--help"])
+    assert told.stdout.startswith(f"usage: python {' '.join(program)} [-h]")
+    bare = here([sys.executable, "-S", *program])  # -S: without site-packages
+    assert (bare.returncode, bare.stdout) == (1, "")
+    assert re.fullmatch(r"error: .*tyro not installed .*source \.venv/bin/activate.*pip install .*\n", bare.stderr)
 
 
 def test_command_line_prints_one_line_for_a_missing_run() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import re
 import sys
 import textwrap
 from contextlib import suppress
@@ -43,6 +44,7 @@ BAR, STAGE, BARE_STAGE = (0.915, 0.935, 0.30, 0.70), (0.03, 0.85, 0.03, 0.86), (
 SUPERSAMPLE = 2
 # Letters of the line of text, in heights of the picture.
 LINE_HEIGHT = 0.032
+NO_BREAK = "\u00a0"
 # Radius and depth of the base plate, in diameters of the worm.
 PLATE_RADIUS, PLATE_DEPTH = 0.68, 0.05
 
@@ -101,6 +103,16 @@ def checked(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatAr
     if not np.all(np.isfinite(array)):
         raise ValueError(f"{name}: must be finite")
     return array
+
+
+def in_lines(text: str, width: int) -> str:
+    """Text in lines of at most so many letters, which end before a bracket rather than in it."""
+
+    def held(bracket: re.Match[str]) -> str:
+        whole = bracket.group()
+        return whole.replace(" ", NO_BREAK) if len(whole) <= width else whole
+
+    return textwrap.fill(re.sub(r"\([^()]*\)|\[[^][]*\]", held, text), width).replace(NO_BREAK, " ")
 
 
 class Renderer:
@@ -194,7 +206,7 @@ class Renderer:
         if not self._bare:
             self._time.input = "" if time is None else f"t = {time:.2f} s"
             # A letter is about half as wide as it is high.
-            self._line.input = textwrap.fill(text, int(0.94 * self.size[0] / (0.5 * LINE_HEIGHT * self.size[1])))
+            self._line.input = in_lines(text, int(0.94 * self.size[0] / (0.5 * LINE_HEIGHT * self.size[1])))
         return self._picture()
 
     def close(self) -> None:
