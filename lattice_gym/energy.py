@@ -54,6 +54,10 @@ class StoredEnergy:
     """Spring of every joint, shape (n_joint,)."""
     line: FloatArray
     """Stretch of every line, shape (n_line,)."""
+    weight: FloatArray
+    """Weight in the medium times height above rest of every node, shape (n_node,); none without gravity."""
+    ground: FloatArray
+    """Spring of the ground under every node, shape (n_node,); none without ground."""
 
     @cached_property
     def total(self) -> float:
@@ -70,7 +74,7 @@ class Flow:
     load_work: float = 0.0
     """Work that point forces and torques did."""
     dissipated: float = 0.0
-    """What the damping of nodes, spin and joints took, never negative."""
+    """What the damping of nodes, spin and joints took, never negative, and dashpots and friction of the ground."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,10 @@ class Ledger:
     residual: float
     """What is missing; where it is negative, energy came from nowhere."""
     scale: float
-    """Energy at stake: the most that was stored at either end, and all work and dissipation."""
+    """Energy at stake: the most that was stored at either end, and all work and dissipation.
+
+    Of weights it is the work, as their energy counts from anywhere.
+    """
 
 
 class EnergyMeter:
@@ -113,6 +120,7 @@ class EnergyMeter:
         self._line_stiffness = np.array([line.stiffness for line in model.lines])
         self.least = 0.5 * LEAST_STRAIN**2 * float(self._stretch @ self._rest)
         """Energy that counts as none [J]."""
+        self._place = model.rest_state().position
         self._forces = [(int(model.node_offset[f.rod]) + f.node, np.array(f.force)) for f in model.forces]
 
     def stored(self, state: RodState) -> StoredEnergy:
@@ -136,7 +144,23 @@ class EnergyMeter:
             bend=0.5 * self._voronoi * np.einsum("ni,ni->n", self._rigidity, bent * bent) / region**2,
             joint=0.5 * self._spring * _square_distance(x, *self._joint_ends),
             line=self._line_energy(x),
+            weight=self._weight_energy(x),
+            ground=self._ground_energy(x),
         )
+
+    def _weight_energy(self, x: FloatArray) -> FloatArray:
+        if self.model.gravity is None:
+            return np.zeros(0)
+        energy: FloatArray = np.einsum("ni,ni->n", self.model.node_weight, self._place - x)
+        return energy
+
+    def _ground_energy(self, x: FloatArray) -> FloatArray:
+        ground = self.model.ground
+        if ground is None:
+            return np.zeros(0)
+        depth = np.maximum(self.model.node_radius - x[:, 2], 0.0)
+        energy: FloatArray = 0.5 * ground.stiffness * depth**2
+        return energy
 
     def _line_energy(self, x: FloatArray) -> FloatArray:
         e = np.sqrt(_square_distance(x, *self._line_ends)) / self._line_rest
@@ -161,14 +185,15 @@ class EnergyMeter:
 def ledger(before: StoredEnergy, after: StoredEnergy, flow: Flow, least: float) -> Ledger:
     """Ledger between two states; `least` is the energy that counts as none [J]."""
     stored = after.total - before.total
-    moved = abs(flow.muscle_work) + abs(flow.load_work) + flow.dissipated
+    high, low = float(before.weight.sum()), float(after.weight.sum())
+    moved = abs(flow.muscle_work) + abs(flow.load_work) + abs(low - high) + abs(flow.dissipated)
     return Ledger(
         muscle_work=flow.muscle_work,
         load_work=flow.load_work,
         stored=stored,
         dissipated=flow.dissipated,
         residual=flow.muscle_work + flow.load_work - stored - flow.dissipated,
-        scale=max(before.total, after.total, least) + moved,
+        scale=max(before.total - high, after.total - low, least) + moved,
     )
 
 

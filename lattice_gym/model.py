@@ -18,6 +18,7 @@ import numpy.typing as npt
 from lattice_gym.design import MAX_ELEMENTS, FloatArray, IntArray, finite_number, real_array, shown, whole_number
 from lattice_gym.lattice import Lattice
 from lattice_gym.muscles import Muscle, MuscleLayout
+from lattice_gym.world import Ground, World
 
 SHEAR_CORRECTION = 27.0 / 28.0
 """Kaneko 1975 for a circular section and Poisson's ratio 0.5, as PyElastica has it."""
@@ -163,9 +164,7 @@ class Rod:
     @cached_property
     def mass(self) -> FloatArray:
         """Node masses [kg], shape (n_elem + 1,): half of either neighbouring element."""
-        half = 0.5 * self.density * self.area * self.rest_length
-        mass: FloatArray = np.append(half, 0.0) + np.append(0.0, half)
-        return mass
+        return _node_sums(0.5 * self.density * self.area * self.rest_length)
 
     @cached_property
     def inertia(self) -> FloatArray:
@@ -199,6 +198,17 @@ class Rod:
         if self.natural_curvature is not None:
             return self.natural_curvature
         return rotation_between(self.directors[:-1], self.directors[1:]) / self.rest_voronoi[:, None]
+
+
+def _node_sums(values: FloatArray) -> FloatArray:
+    """Sum over the elements at each node of a rod, shape (n_elem + 1,), of values of shape (n_elem,)."""
+    sums: FloatArray = np.append(values, 0.0) + np.append(0.0, values)
+    return sums
+
+
+def _node_radius(rod: Rod) -> FloatArray:
+    """Radius at each node of a rod [m], shape (n_elem + 1,): the mean of its elements'."""
+    return _node_sums(rod.radius) / _node_sums(np.ones(rod.n_elem))
 
 
 def rotation_between(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -297,6 +307,8 @@ class Line:
     """[kg]"""
     damping: float = 0.0
     """[N s/m]"""
+    density: float = math.inf
+    """What its mass has for a volume [kg/m^3]: a medium carries nothing of an infinitely dense one."""
 
 
 @dataclass(frozen=True)
@@ -346,7 +358,7 @@ class RodModel:
     ------
     ValueError
         No rod, an index that no rod, node or element has, a joint of a node with itself, a line between two ends at one
-        place, a negative stiffness.
+        place, a negative stiffness, a gravity that is no vector, a medium's density or drag that is negative.
     """
 
     rods: tuple[Rod, ...]
@@ -358,6 +370,14 @@ class RodModel:
     """Rods that contract, in the order of the tensions."""
     lines: tuple[Line, ...] = ()
     """Muscles without nodes; their tensions follow those of `muscles`."""
+    gravity: FloatArray | None = None
+    """[m/s^2], shape (3,); None is none."""
+    medium_density: float = 0.0
+    """Of the fluid around [kg/m^3]: it carries its own weight of what it makes room for."""
+    medium_drag: float = 0.0
+    """Resistance of that fluid to motion, per speed and length of a rod or line [N s/m^2]."""
+    ground: Ground | None = None
+    """Plane z = 0 that bears every node at its `node_radius`, with friction on the centre line; None is none."""
 
     def __post_init__(self) -> None:
         for name, kind in PARTS.items():
@@ -376,6 +396,8 @@ class RodModel:
             self._check_index(f"lines[{k}]", line.rod_b, line.node_b, extra=1)
             for name in ("rest_length", "stiffness", "mass", "damping"):
                 _number(f"lines[{k}].{name}", getattr(line, name), above=name == "rest_length")
+            if not (isinstance(line.density, float) and line.density == math.inf):
+                _number(f"lines[{k}].density", line.density, above=True)
             stiff = finite_number(float(line.stiffness) / float(line.rest_length)) is not None
             _require(stiff, f"lines[{k}].rest_length = {line.rest_length}: far too short for its stiffness")
             self._check_direction(f"lines[{k}]", line)
@@ -393,6 +415,19 @@ class RodModel:
         for k, rod in enumerate(self.muscles):
             self._check_index(f"muscles[{k}]", rod, 0, extra=0)
         _require(len(set(self.muscles)) == len(self.muscles), "muscles: a rod is named twice")
+        self._check_world()
+
+    def _check_world(self) -> None:
+        """Refuse a medium or ground that is none, and weights or drags beyond the range of numbers."""
+        if self.gravity is not None:
+            object.__setattr__(self, "gravity", _array("gravity", self.gravity, (3,)))
+        for name in ("medium_density", "medium_drag"):
+            object.__setattr__(self, name, _number(name, getattr(self, name), above=False))
+        if self.ground is not None and not isinstance(self.ground, Ground):
+            raise ValueError(f"ground = {shown(self.ground)}: must be Ground or None")
+        with np.errstate(all="ignore"):
+            _require(bool(np.isfinite(self.node_weight).all()), "gravity, medium_density: far too large for these rods")
+            _require(bool(np.isfinite(self.node_damping).all()), "medium_drag: far too large for these rods")
 
     def _check_index(self, name: str, rod: int, index: int, *, extra: int) -> None:
         if whole_number(rod) is None or not 0 <= rod < len(self.rods):
@@ -422,18 +457,41 @@ class RodModel:
     @cached_property
     def node_mass(self) -> FloatArray:
         """Mass of every node [kg], shape (n_node,): its rod's share and what lines put on it."""
-        return self._with_lines([rod.mass for rod in self.rods], "mass")
+        return self._with_lines([rod.mass for rod in self.rods], [line.mass for line in self.lines])
+
+    @cached_property
+    def node_volume(self) -> FloatArray:
+        """Volume that every node makes room for [m^3], shape (n_node,): its rod's share and that of lines."""
+        return self._with_lines(
+            [rod.mass / rod.density for rod in self.rods],
+            [float(line.mass) / float(line.density) for line in self.lines],
+        )
 
     @cached_property
     def node_damping(self) -> FloatArray:
-        """Translational damping of every node [N s/m], shape (n_node,)."""
-        return self._with_lines([np.full(rod.n_elem + 1, rod.damping) for rod in self.rods], "damping")
+        """Translational damping of every node [N s/m], shape (n_node,), with the drag of the medium."""
+        drag = self.medium_drag
+        return self._with_lines(
+            [rod.damping + drag * _node_sums(0.5 * rod.rest_length) for rod in self.rods],
+            [float(line.damping) + drag * float(line.rest_length) for line in self.lines],
+        )
 
-    def _with_lines(self, of_rods: list[FloatArray], name: str) -> FloatArray:
+    @cached_property
+    def node_weight(self) -> FloatArray:
+        """Weight of every node less what the medium carries [N], shape (n_node, 3): zero without gravity."""
+        if self.gravity is None:
+            return np.zeros((self.n_node, 3))
+        return np.outer(self.node_mass - self.medium_density * self.node_volume, self.gravity)
+
+    @cached_property
+    def node_radius(self) -> FloatArray:
+        """Radius of the rod at every node at rest [m], shape (n_node,): the mean of its elements'."""
+        return np.concatenate([_node_radius(rod) for rod in self.rods])
+
+    def _with_lines(self, of_rods: list[FloatArray], of_lines: list[float]) -> FloatArray:
         total = np.concatenate(of_rods)
-        half = np.array([0.5 * getattr(line, name) for line in self.lines])
         for rows in self.tie_nodes(self.lines):
-            np.add.at(total, rows, half)
+            np.add.at(total, rows, 0.5 * np.array(of_lines))
         return total
 
     @cached_property
@@ -537,10 +595,13 @@ class RodState:
                 )
 
 
-def build_model(lattice: Lattice, layout: MuscleLayout) -> RodModel:
-    """Model of a lattice worm: its structure rods first, then a rod for each active muscle of `layout`, in order."""
-    design = lattice.design
+def build_model(lattice: Lattice, layout: MuscleLayout, world: World | None = None) -> RodModel:
+    """Model of a lattice worm: its structure rods first, then a rod for each active muscle of `layout`, in order.
 
+    A `world` adds what surrounds it; see `World`.
+    """
+    design, world = lattice.design, World() if world is None else world
+    medium = world.medium
     structure = [
         Rod(
             position=lattice.position[i],
@@ -557,13 +618,27 @@ def build_model(lattice: Lattice, layout: MuscleLayout) -> RodModel:
     muscles = [_muscle_rod(lattice, muscle) for muscle in layout.active]
     lines = tuple(_muscle_line(lattice, muscle, rod) for muscle, rod in zip(layout.active, muscles, strict=True))
     as_lines = design.muscle_model == "line"
+    rods = structure if as_lines else [*structure, *muscles]
     return RodModel(
-        rods=tuple(structure) if as_lines else (*structure, *muscles),
+        rods=tuple(_laid_down(rods) if world.lying else rods),
         joints=tuple(_lattice_joints(lattice, layout)),
         clamps=tuple(Clamp(i, node=0, element=0) for i in range(lattice.n_rod)) if design.base == "clamped" else (),
         muscles=() if as_lines else tuple(range(lattice.n_rod, lattice.n_rod + len(muscles))),
         lines=lines if as_lines else (),
+        gravity=None if medium is None else np.array([0.0, 0.0, -medium.gravity]),
+        medium_density=0.0 if medium is None else medium.density,
+        medium_drag=0.0 if medium is None else medium.drag,
+        ground=world.ground,
     )
+
+
+def _laid_down(rods: Sequence[Rod]) -> list[Rod]:
+    """Turn rods about y, from +z to +x, and lift them until the lowest surface touches z = 0."""
+    turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    lift = -min(float((rod.position @ turn[:, 2] - _node_radius(rod)).min()) for rod in rods)
+    return [
+        replace(rod, position=rod.position @ turn + [0.0, 0.0, lift], directors=rod.directors @ turn) for rod in rods
+    ]
 
 
 def _shear_modulus(youngs_modulus: float, poisson_ratio: float) -> float:
@@ -589,7 +664,8 @@ def _muscle_line(lattice: Lattice, muscle: Muscle, rod: Rod) -> Line:
     """Line with the length, stiffness, mass and damping of a muscle's rod."""
     (rod_a, node_a), (rod_b, node_b) = (_tie(lattice, site) for site in (muscle.start, muscle.end))
     length, stiffness = float(rod.rest_length.sum()), float(rod.stretch_stiffness[0])
-    return Line(rod_a, node_a, rod_b, node_b, length, stiffness, float(rod.mass.sum()), rod.damping * (rod.n_elem + 1))
+    damping = rod.damping * (rod.n_elem + 1)
+    return Line(rod_a, node_a, rod_b, node_b, length, stiffness, float(rod.mass.sum()), damping, rod.density)
 
 
 def _tie(lattice: Lattice, site: int) -> tuple[int, int]:

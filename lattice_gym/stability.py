@@ -4,7 +4,8 @@ Around rest the forces are linear: M x'' = -K x - C x', with the dampers of node
 the sign of a motion y, x_n = (-1)^n y, is the largest that the scheme bears. In position Verlet whose damper leaves the
 shares a and b of a velocity before and after the kick (`engines.damping_shares`), and with dashpots C that see the
 velocity before the kick, that is (dt^2 K + 2 dt C) y = 2 M (1/b + a) y. All matrices are symmetric, so the largest
-eigenvalue decides for the whole assembly. It is found by Lanczos' iteration.
+eigenvalue decides for the whole assembly. It is found by Lanczos' iteration. A ground adds its spring and its dashpot
+to K and C as if it bore every node; its friction takes from velocities and weights are constant, which matters not.
 
 Left out is what forces around rest do not show: kinks of a right angle between elements and, with the "pyelastica"
 splitting, elements that spin about their rod. That step takes the gyroscopic term from before the kick, which feeds the
@@ -117,6 +118,17 @@ class _Ties:
         return force
 
 
+@dataclass(frozen=True)
+class _Floor:
+    """What acts on every node against its displacement along z [N/m]."""
+
+    stiffness: float
+
+    def __call__(self, displacement: FloatArray) -> FloatArray:
+        """Return the force against a displacement of the nodes [N]; both of shape (n_node, 3)."""
+        return displacement * [0.0, 0.0, self.stiffness]
+
+
 def _ties(model: RodModel, ties: Sequence[Joint | Line], matrix: FloatArray) -> _Ties:
     return _Ties(*model.tie_nodes(ties), matrix.reshape(-1, 3, 3))
 
@@ -181,10 +193,14 @@ class _Linear:
 
         spring = np.array([joint.stiffness for joint in model.joints])[:, None, None] * np.eye(3)
         dashpot = np.array([joint.damping for joint in model.joints])[:, None, None] * np.eye(3)
-        self.ties = [_ties(model, model.joints, spring)]
+        self.ties: list[_Ties | _Floor] = [_ties(model, model.joints, spring)]
         if model.lines:
             self.ties.append(_ties(model, model.lines, _line_matrix(model, line_shortened, max_tension)))
-        self.dashpots = [_ties(model, model.joints, dashpot)] if dashpot.any() else []
+        self.dashpots: list[_Ties | _Floor] = [_ties(model, model.joints, dashpot)] if dashpot.any() else []
+        if model.ground is not None:
+            self.ties.append(_Floor(model.ground.stiffness))
+            if model.ground.damping > 0.0:
+                self.dashpots.append(_Floor(model.ground.damping))
 
         self.n_node, self.n_elem = model.n_node, model.n_elem
         damping = np.repeat([rod.rotational_damping for rod in rods], n_elem)
@@ -247,7 +263,7 @@ class _Linear:
         return _largest_eigenvalue(apply, scale.size)
 
     def dash(self, x: FloatArray) -> FloatArray:
-        """Return the force of the joints' dashpots against velocities x, shape (3 n_node + 3 n_elem,)."""
+        """Return the force of all dashpots against velocities x, shape (3 n_node + 3 n_elem,)."""
         against = np.zeros_like(x)
         shift = x[: 3 * self.n_node].reshape(-1, 3)
         for dashpots in self.dashpots:

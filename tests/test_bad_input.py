@@ -19,7 +19,7 @@ import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from decimal import Decimal
 from fractions import Fraction
 from functools import cache
@@ -53,6 +53,7 @@ from lattice_gym.muscles import (
 )
 from lattice_gym.reports.__main__ import parser as reports_parser
 from lattice_gym.trajectory import Recorder, Trajectory
+from lattice_gym.world import Bolus, Ground, Medium, World
 
 HANG = 30.0
 """A call that takes longer hangs [s]."""
@@ -466,15 +467,22 @@ _PARTS: dict[str, tuple[type, dict[str, st.SearchStrategy[Any]]]] = {
     "joints": (Joint, {"rod_a": st.just(0), "node_a": _INDEX, "rod_b": st.just(1), "node_b": _INDEX,
                        "stiffness": _NUMBERS, "damping": _NUMBERS}),
     "lines": (Line, {"rod_a": _INDEX, "node_a": st.just(0), "rod_b": st.just(1), "node_b": _INDEX,
-                     "rest_length": _NUMBERS, "stiffness": _NUMBERS, "mass": _NUMBERS, "damping": st.just(0.0)}),
+                     "rest_length": _NUMBERS, "stiffness": _NUMBERS, "mass": _NUMBERS, "damping": st.just(0.0),
+                     "density": _NUMBERS}),
     "clamps": (Clamp, {"rod": _INDEX, "node": _INDEX, "element": _INDEX}),
     "forces": (PointForce, {"rod": _INDEX, "node": _INDEX, "force": _VECTOR}),
     "torques": (PointTorque, {"rod": _INDEX, "element": _INDEX, "torque": _VECTOR}),
     "muscles": (tuple, {}),
 }  # fmt: skip
+_AROUND: dict[str, st.SearchStrategy[Any]] = {
+    "gravity": _VECTOR, "medium_density": _NUMBERS, "medium_drag": _NUMBERS,
+    "ground": st.one_of(JUNK, st.builds(Ground, stiffness=st.floats(1e-6, 1e9), damping=st.floats(0.0, 1e6))),
+}  # fmt: skip
 
 
 def _part(name: str) -> st.SearchStrategy[tuple[str, Any]]:
+    if name in _AROUND:
+        return st.tuples(st.just(name), _AROUND[name])
     kind, values = _PARTS[name]
     whole = st.builds(kind, **values) if values else st.one_of(st.integers(-1, 3), JUNK)
     return st.tuples(st.just(name), st.one_of(st.lists(st.one_of(whole, whole, whole, JUNK), max_size=2), JUNK))
@@ -490,8 +498,29 @@ def make_model(call: list[tuple[str, Any]]) -> None:
 
 
 _MODELS = st.lists(
-    st.sampled_from(sorted(_PARTS)).flatmap(_part), min_size=1, max_size=2, unique_by=lambda part: part[0]
+    st.sampled_from(sorted({*_PARTS, *_AROUND})).flatmap(_part), min_size=1, max_size=2, unique_by=lambda part: part[0]
 )
+
+# Worlds
+
+_AROUND_PARTS: dict[str, type[Medium | Ground | Bolus]] = {"medium": Medium, "ground": Ground, "bolus": Bolus}
+_FULL_WORLD: dict[str, Any] = {**{name: asdict(part()) for name, part in _AROUND_PARTS.items()}, "lying": True}
+
+
+def make_world(call: dict[str, Any]) -> None:
+    """Check that a world that is taken comes back from its dict form, and from JSON."""
+    world = World.from_dict(call)
+    assert World.from_dict(json.loads(json.dumps(world.to_dict()))) == world
+
+
+def _damaged_world(name: str) -> st.SearchStrategy[dict[str, Any]]:
+    if name == "lying":
+        return damaged(_FULL_WORLD, 1, 2)
+    return damaged(_FULL_WORLD[name], 1, 2).map(lambda part: {**_FULL_WORLD, name: part})
+
+
+_WORLDS = st.sampled_from(sorted(_FULL_WORLD)).flatmap(_damaged_world)
+
 
 # Trajectories
 
@@ -638,6 +667,12 @@ TARGETS = [
     ),
     Target("Rod and straight_rod", _RODS, make_rod, lambda call: (*_ROD, *_ROD_PARTS)),
     Target("RodModel", _MODELS, make_model, lambda call: tuple(name for name, _ in call)),
+    Target(
+        "World",
+        _WORLDS,
+        make_world,
+        lambda call: (*_FULL_WORLD, *(field for part in _AROUND_PARTS.values() for field in part.bounds)),
+    ),
     Target("Trajectory and Recorder", _TRAJECTORIES, make_trajectory, lambda call: (*call[1],)),
     Target("Trajectory.load", _FILES, make_trajectory_file, _fixed("damaged.npz")),
     Target("options of the reports", _WORDS, make_options, _fixed("error:")),

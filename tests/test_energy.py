@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast, get_args
 
@@ -15,7 +16,10 @@ from lattice_gym.env import LatticeWormEnv
 from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.model import Clamp, Joint, Line, PointForce, PointTorque, RodModel, RodState, build_model, straight_rod
 from lattice_gym.muscles import named_layout
+from lattice_gym.reports.ground import incline, rest_penetration, sliding_block_by_direction
+from lattice_gym.reports.scene import Scene
 from lattice_gym.reports.steps import slope
+from lattice_gym.world import Ground, Medium, World
 
 ROD = {"radius": 0.05, "density": 1e3, "youngs_modulus": 1e5, "shear_modulus": 3e4}
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
@@ -58,6 +62,50 @@ def test_every_part_has_its_formula() -> None:
     assert stored.total == pytest.approx(
         sum(float(getattr(stored, name).sum()) for name in StoredEnergy.__annotations__)
     )
+
+
+def test_weight_and_ground_have_their_formulas() -> None:
+    """Weight less buoyancy times height above rest, and k d^2 / 2 of the depth d."""
+    model = RodModel(
+        rods=(straight_rod((0, 0, 0.05), (0, 1, 0.05), 2, **ROD),),
+        gravity=np.array([0.0, 0.0, -2.0]), medium_density=250.0, ground=Ground(stiffness=8.0),
+    )  # fmt: skip
+    stored = EnergyMeter(model).stored(_moved(model.rest_state(), np.array([[3, 1, 0.3], [0, 0, 0], [0, 0, -0.1]])))
+    weight = 0.75 * 2.0 * model.node_mass
+    np.testing.assert_allclose(stored.weight, weight * [0.3, 0.0, -0.1])
+    np.testing.assert_allclose(stored.ground, [0.0, 0.0, 0.04], atol=1e-15)
+    air = EnergyMeter(replace(model, gravity=None, ground=None)).stored(model.rest_state())
+    assert air.weight.size == air.ground.size == 0
+
+
+@pytest.mark.parametrize("build", [sliding_block_by_direction, incline, rest_penetration])
+def test_the_ground_takes_what_motion_loses(build: Callable[[int], Scene], engine_name: EngineName) -> None:
+    """Friction and dashpots of the ground are counted to rounding: blocks that slip, stop, and sink in."""
+    scene = build(2)
+    engine = make_engine(engine_name, scene.model, scene.dt, energy_check=True)
+    engine.restore(scene.start)
+    assert engine.advance([], 1000).ok
+    entry = engine.ledger
+    assert entry is not None
+    assert entry.dissipated > 0.2 * entry.scale
+    assert entry.dissipated == pytest.approx(-entry.stored, rel=1e-12)
+
+
+@pytest.mark.parametrize(("kind", "most"), [("rod", 1e-2), ("line", 2e-2)])
+def test_a_worm_on_the_ground_keeps_its_books(kind: str, most: float) -> None:
+    """What random muscles put in is stored or dissipated; the law leaves up to `most`, as in the air."""
+    lattice = build_lattice(LatticeDesign(**SMALL, base="free", damping=1e-3, muscle_model=cast(Any, kind)))
+    world = World(medium=Medium(drag=0.1), ground=Ground(static_friction=0.8, forward=0.5), lying=True)
+    model = build_model(lattice, named_layout("all", lattice), world)
+    engine = make_engine("fused", model, 1e-4, "symmetric", True)
+    rng, residual, lost = np.random.default_rng(0), 0.0, 0.0
+    for _ in range(10):
+        assert engine.advance(rng.uniform(0.0, 0.1, (2, model.n_muscle)), 500).ok
+        entry = engine.ledger
+        assert entry is not None
+        residual, lost = residual + entry.residual, lost + entry.dissipated
+    assert lost > 0.0
+    assert abs(residual) < most * lost
 
 
 def _assembly(muscles: str, *, smooth: bool = False) -> RodModel:

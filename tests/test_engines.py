@@ -7,6 +7,14 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from elastica.contact_forces import RodPlaneContact
+from elastica.external_forces import GravityForces
+from elastica.modules.base_system import BaseSystemCollection
+from elastica.modules.contact import Contact
+from elastica.modules.forcing import Forcing
+from elastica.rod.cosserat_rod import CosseratRod
+from elastica.surface.plane import Plane
+from elastica.timestepper.symplectic_steppers import PositionVerlet
 
 from lattice_gym.design import FloatArray, LatticeDesign
 from lattice_gym.engines import STEP_TOLERANCE, Engine, EngineName, Health, Splitting, Status, make_engine
@@ -14,6 +22,7 @@ from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.model import (
     Clamp,
     Joint,
+    Line,
     PointForce,
     PointTorque,
     RodModel,
@@ -25,6 +34,7 @@ from lattice_gym.model import (
 from lattice_gym.muscles import named_layout
 from lattice_gym.reports.divergence import Plan, plan
 from lattice_gym.stability import default_dt, stable_dt
+from lattice_gym.world import Ground, Medium, World
 
 FIELDS = ("position", "velocity", "directors", "omega")
 
@@ -70,8 +80,74 @@ def test_engines_agree(options: dict[str, Any]) -> None:
     assert fused.state.time == pytest.approx(reference.state.time, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("kind", "ground"),
+    [("rod", Ground()), ("line", Ground(forward=0.3, backward=1.5, sideways=0.7, static_friction=0.8))],
+)
+def test_engines_agree_on_the_ground(kind: str, ground: Ground) -> None:
+    """A worm in water that lies, slips and sticks: 1e-12 of the scale after one step; 1e-9 m after a second."""
+    lattice = build_lattice(LatticeDesign(n_pairs=3, base="free", damping=1e-3, muscle_model=cast(Any, kind)))
+    world = World(medium=Medium(drag=0.1), ground=ground, lying=True)
+    model = build_model(lattice, named_layout("all", lattice), world)
+    engines = [make_engine(name, model, 2e-4) for name in ("fused", "pyelastica")]
+    rng = np.random.default_rng(0)
+    largest, sticks, slips = [0.0, 0.0], False, False
+    for n_step in (1, *[250] * 20):
+        pull = rng.uniform(0.0, 0.1, (2, model.n_muscle))
+        for engine in engines:
+            assert engine.advance(pull, n_step).ok
+        a, b = (engine.state for engine in engines)
+        if n_step == 1:
+            assert largest_difference(a, b, "position") < 1e-12 * np.abs(b.position).max()
+            assert largest_difference(a, b, "velocity") < 1e-12 * np.abs(b.velocity).max()
+        largest = [max(x, largest_difference(a, b, f)) for x, f in zip(largest, ("position", "velocity"), strict=True)]
+        moves = a.velocity[a.position[:, 2] < model.node_radius, :2].any(axis=1)
+        sticks, slips = sticks or not moves.all(), slips or bool(moves.any())
+    assert sticks
+    assert slips
+    assert largest[0] < 1e-9
+    assert largest[1] < 1e-6
+    assert np.abs(a.position - model.rest_state().position).max() > 1e-3
+
+
+@pytest.mark.parametrize(("gravity_first", "share"), [(True, 0.0), (False, 1.0)])
+def test_pyelasticas_plane_rests_on_the_order_of_declaration(gravity_first: bool, share: float) -> None:
+    """Why the ground of the reference is ours: PyElastica's own cancels the weight that was declared before it."""
+
+    class Simulator(BaseSystemCollection, Contact, Forcing): ...
+
+    stiffness, n_elem, weight = 1e4, 4, 1e3 * np.pi * 0.05**2 * 9.81
+    rod = CosseratRod.straight_rod(
+        n_elem, np.array([0.0, 0.0, 0.05]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), 1.0, 0.05, 1e3,
+        youngs_modulus=1e5,
+    )  # fmt: skip
+    depth = weight / n_elem / stiffness
+    rod.position_collection[2] -= 0.5 * depth
+    plane, simulator = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0])), Simulator()
+    simulator.append(rod)
+    simulator.append(plane)
+
+    def declare(what: str) -> None:
+        if what == "gravity":
+            simulator.add_forcing_to(rod).using(GravityForces, acc_gravity=np.array([0.0, 0.0, -9.81]))
+        else:
+            simulator.detect_contact_between(rod, plane).using(RodPlaneContact, k=stiffness, nu=150.0)
+
+    for what in ("gravity", "contact")[:: 1 if gravity_first else -1]:
+        declare(what)
+    simulator.finalize()
+    stepper, time = PositionVerlet(), np.float64(0.0)
+    for _ in range(8000):
+        time = stepper.step(simulator, time, 2.5e-4)
+    found = 0.05 - 0.5 * (rod.position_collection[2, 1:] + rod.position_collection[2, :-1])
+    np.testing.assert_allclose(found.mean(), share * depth, atol=0.02 * depth)
+
+
 def mixed_assembly() -> RodModel:
-    """Rods of four element counts with a muscle among them, joints with dashpots, clamps, a force and a torque."""
+    """Rods of four element counts with a muscle among them, joints with dashpots, clamps, a force and a torque.
+
+    A ground bears some of their nodes, those of a clamp among them, and a line hangs between two rods under gravity.
+    """
     steel = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5, "damping": 0.5}
     return RodModel(
         rods=(
@@ -85,6 +161,11 @@ def mixed_assembly() -> RodModel:
         forces=(PointForce(1, 2, (0.0, 50.0, 10.0)), PointForce(1, 2, (1.0, 0.0, 0.0))),
         torques=(PointTorque(0, 6, (0.0, 1.0, 20.0)),),
         muscles=(2,),
+        lines=(Line(0, 3, 3, 2, 1.5, 100.0, mass=2.0, damping=0.1, density=900.0),),
+        gravity=np.array([1.0, 2.0, -9.0]),
+        medium_density=300.0,
+        medium_drag=0.3,
+        ground=Ground(stiffness=300.0, damping=3.0, forward=0.2),
     )
 
 
@@ -94,7 +175,7 @@ def test_engines_agree_on_any_assembly() -> None:
     dt = 0.5 * stable_dt(model)
     engines = [make_engine(name, model, dt) for name in ("fused", "pyelastica")]
     for engine in engines:
-        assert engine.advance([[0.0], [100.0]], 400).ok
+        assert engine.advance([[0.0, 0.0], [100.0, 10.0]], 400).ok
     a, b = engines[0].state, engines[1].state
     assert np.abs(b.position - model.rest_state().position).max() > 0.02
     assert largest_difference(a, b, "position") < 1e-11
@@ -308,18 +389,19 @@ def test_step_error(engine_name: EngineName) -> None:
     dt = 0.5 * stable_dt(model)
     engine, plain = (make_engine(engine_name, model, dt, step_check=check) for check in (True, False))
     assert engine.step_error is None
-    for tension in ([[0.0], [100.0]], [100.0], [[100.0], [20.0]]):
+    for ramp in ([0.0, 100.0], [100.0, 100.0], [100.0, 20.0]):
+        tension = np.outer(ramp, np.ones(model.n_muscle))
         assert engine.advance(tension, 30).ok
         assert plain.advance(tension, 30).ok
         assert engine.step_error is not None
         assert 0.0 < engine.step_error < 1e-2
         assert plain.step_error is None
     assert np.array_equal(engine.state.position, plain.state.position)
-    assert engine.advance([1e9], 30).status not in (Status.OK, Status.ENERGY, Status.INACCURATE)
+    assert engine.advance(np.full(model.n_muscle, 1e9), 30).status not in (Status.OK, Status.ENERGY, Status.INACCURATE)
     assert engine.step_error is None
     engine.restore(model.rest_state())
     assert engine.step_error is None
-    assert engine.advance([100.0], 30).ok
+    assert engine.advance(np.full(model.n_muscle, 100.0), 30).ok
     assert engine.step_error is not None
     engine.restore(model.rest_state())
     assert engine.step_error is None
@@ -332,8 +414,8 @@ def test_step_error_where_energy_comes_from_nowhere(monkeypatch: pytest.MonkeyPa
     alone = make_engine("fused", model, both.dt, step_check=True)
     monkeypatch.setattr(both, "_audit", lambda *arguments: Health(Status.ENERGY, 2, 1))
     for _ in range(2):
-        assert both.advance([100.0], 30) == Health(Status.ENERGY, 2, 1)
-        assert alone.advance([100.0], 30).ok
+        assert both.advance(np.full(model.n_muscle, 100.0), 30) == Health(Status.ENERGY, 2, 1)
+        assert alone.advance(np.full(model.n_muscle, 100.0), 30).ok
         assert both.step_error == alone.step_error is not None
 
 
@@ -342,14 +424,14 @@ def test_half_a_step_that_fails_flags_the_run(engine_name: EngineName) -> None:
     model = mixed_assembly()
     dt = 0.5 * stable_dt(model)
     engine = make_engine(engine_name, model, dt, step_check=True)
-    assert engine.advance([100.0], 30).ok
+    assert engine.advance(np.full(model.n_muscle, 100.0), 30).ok
     engine.shadowed(make_engine(engine_name, model, 10.0 * dt))
-    health = engine.advance([100.0], 30)
-    failed = make_engine(engine_name, model, 10.0 * dt).advance([100.0], 60)
+    health = engine.advance(np.full(model.n_muscle, 100.0), 30)
+    failed = make_engine(engine_name, model, 10.0 * dt).advance(np.full(model.n_muscle, 100.0), 60)
     assert not failed.ok
     assert health == replace(failed, status=Status.INACCURATE)
     assert engine.step_error is None
-    assert make_engine(engine_name, model, dt).advance([100.0], 60).ok
+    assert make_engine(engine_name, model, dt).advance(np.full(model.n_muscle, 100.0), 60).ok
 
 
 def test_refused_input(engine_name: EngineName, lattice: Lattice) -> None:

@@ -26,6 +26,7 @@ from lattice_gym.model import (
     straight_rod,
 )
 from lattice_gym.muscles import named_layout
+from lattice_gym.world import Ground, Medium, World
 
 STEEL: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}
 
@@ -94,6 +95,13 @@ def test_refused_rods(change: dict[str, object], name: str) -> None:
         ({"lines": (Line(0, 0, 1, 1, 0.0, 1.0),)}, r"lines\[0\].rest_length"),
         ({"lines": (Line(0, 0, 1, 1, 1.0, 1.0, mass=np.nan),)}, r"lines\[0\].mass"),
         ({"muscles": (5,)}, r"muscles\[0\]"),
+        ({"lines": (Line(0, 0, 1, 1, 1.0, 1.0, density=0.0),)}, r"lines\[0\].density"),
+        ({"gravity": (0.0, -9.81)}, "gravity"),
+        ({"gravity": (0.0, np.nan, 0.0)}, "gravity"),
+        ({"gravity": (0.0, 0.0, 1e308), "medium_density": 1e9}, "gravity, medium_density"),
+        ({"medium_density": -1.0}, "medium_density"),
+        ({"medium_drag": np.inf}, "medium_drag"),
+        ({"ground": {"stiffness": 1.0}}, "ground"),
     ],
 )
 def test_refused_assemblies(part: dict[str, Any], name: str) -> None:
@@ -214,6 +222,48 @@ def test_muscles_as_lines_keep_mass_and_damping() -> None:
     assert (lines.n_rod, lines.n_muscle, len(lines.joints)) == (12, 90, 54)
     assert lines.node_mass.sum() == pytest.approx(rods.node_mass.sum(), rel=1e-12)
     assert lines.node_damping.sum() == pytest.approx(rods.node_damping.sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["rod", "line"])
+def test_a_world_around_the_lattice(kind: str) -> None:
+    """Weight less what the medium carries, drag by length, and the axis laid along x with the lowest surface at 0."""
+    lattice = build_lattice(LatticeDesign(base="free", muscle_model=kind, muscle_radius=3e-3, structure_radius=4e-3))
+    layout = named_layout("all", lattice)
+    plain = build_model(lattice, layout)
+    ground = Ground(stiffness=7.0)
+    world = World(medium=Medium(gravity=3.0, density=900.0, drag=0.2), ground=ground, lying=True)
+    model = build_model(lattice, layout, world)
+    assert model.ground == ground
+    assert plain.ground is None
+    assert plain.gravity is None
+    assert not plain.node_weight.any()
+    structure, muscles = model.rods[: lattice.n_rod], build_model(lattice, layout).rods[lattice.n_rod :]
+    volume = sum(float((rod.area * rod.rest_length).sum()) for rod in structure)
+    length = sum(float(rod.rest_length.sum()) for rod in structure)
+    for k, muscle in enumerate(layout.active):
+        apart = lattice.site_position[muscle.end] - lattice.site_position[muscle.start]
+        length += (own := float(np.linalg.norm(apart)))
+        volume += own * np.pi * 3e-3**2
+        assert kind == "line" or muscles[k].rest_length.sum() == pytest.approx(own)
+    weight = 3.0 * (model.node_mass.sum() - 900.0 * volume)
+    np.testing.assert_allclose(model.node_weight.sum(axis=0), [0.0, 0.0, -weight], rtol=1e-12)
+    added = model.node_damping - plain.node_damping
+    assert added.sum() == pytest.approx(0.2 * length)
+    assert added[1] == pytest.approx(0.2 * structure[0].rest_length[0], rel=1e-9) or kind == "line"
+    rest, upright = model.rest_state(), plain.rest_state()
+    np.testing.assert_allclose(rest.position[:, 0], upright.position[:, 2], atol=1e-15)
+    np.testing.assert_allclose(rest.position[:, 1], upright.position[:, 1], atol=1e-15)
+    assert (rest.position[:, 2] - model.node_radius).min() == pytest.approx(0.0, abs=1e-15)
+    assert np.ptp(rest.position[:, 2]) == pytest.approx(np.ptp(upright.position[:, 0]))
+    rest.check(model)
+    for laid, stood in zip(model.rods, plain.rods, strict=True):
+        np.testing.assert_allclose(laid.rest_kappa, stood.rest_kappa, rtol=1e-9, atol=1e-12)
+
+
+def test_node_radii() -> None:
+    """The mean of the elements at a node."""
+    uneven = replace(rod(), radius=np.array([1.0, 2.0, 4.0]))
+    np.testing.assert_allclose(RodModel(rods=(uneven,)).node_radius, [1.0, 1.5, 3.0, 4.0])
 
 
 def test_natural_curvature() -> None:

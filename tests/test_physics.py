@@ -10,6 +10,7 @@ import pytest
 from lattice_gym.engines import EngineName, Splitting, make_engine
 from lattice_gym.model import RodModel, rotation_between
 from lattice_gym.reports.cases import CASES, PRECESSION_STEPS, bar
+from lattice_gym.reports.ground import GROUND_CASES
 from lattice_gym.reports.scene import Case, Outcome, Reading, difference, pass_time, run
 from lattice_gym.reports.steps import STEP_SCENES, StepScene, slope, step_orders, step_trials
 from lattice_gym.stability import stable_dt
@@ -75,6 +76,13 @@ def test_order_in_the_time_step(scene: StepScene, engine: EngineName, splitting:
     orders = step_orders(scene, engine, splitting)
     assert orders.passed, orders
     assert max(orders.error) < 0.02
+
+
+@pytest.mark.parametrize("case", GROUND_CASES, ids=lambda case: case.name)
+def test_ground_in_the_symmetric_splitting(case: Case) -> None:
+    """Within the tolerance, too; terminal speeds and slips are exact, however large the damping."""
+    outcome = run(case, "fused", case.coarse, "symmetric")
+    assert outcome.reading.error <= (1e-11 if case.name == "free_fall" else outcome.tolerance)
 
 
 def test_precession_in_the_symmetric_splitting() -> None:

@@ -18,6 +18,7 @@ from lattice_gym.model import Clamp, Joint, Line, RodModel, RodState, build_mode
 from lattice_gym.muscles import named_layout
 from lattice_gym.reports import stability as report
 from lattice_gym.stability import DT_MARGIN, SAFETY, _largest_eigenvalue, contraction, default_dt, stable_dt
+from lattice_gym.world import Ground, Medium, World
 
 STEEL: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}
 SOFT: dict[str, Any] = STEEL | {"youngs_modulus": 1.0, "shear_modulus": 1.0}
@@ -99,6 +100,51 @@ def test_dashpots(damping: float) -> None:
     """Dashpots see the velocity before the kick, and lower the limit."""
     assert stable_dt(star(3, 1e6, damping)) < stable_dt(star(3, 1e6))
     assert_exact(star(3, 1e6, damping))
+
+
+@pytest.mark.parametrize("splitting", ["pyelastica", "symmetric"])
+@pytest.mark.parametrize(("stiffness", "damping"), [(1e6, 0.0), (1e6, 300.0), (1e6, 3000.0), (1e4, 10.0)])
+def test_the_ground(splitting: Splitting, stiffness: float, damping: float) -> None:
+    """Nodes of a soft rod that rest on the ground: the computed limit is the measured one to 2 %, and the formula's."""
+    rod = straight_rod((0, 0, 0.05), (1, 0, 0.05), 4, **SOFT)
+    model = RodModel(
+        rods=(rod,), gravity=np.array([0.0, 0.0, -9.81]), ground=Ground(stiffness=stiffness, damping=damping)
+    )
+    rest = model.rest_state()
+    sunk = rest.position + model.node_weight / stiffness
+    limit = stable_dt(model, splitting=splitting) / SAFETY
+    assert limit == pytest.approx(measured_dt(model, splitting, replace(rest, position=sunk)), rel=0.02)
+    spring, dashpot = stiffness / rod.mass[0], damping / rod.mass[0]
+    assert limit == pytest.approx(4.0 / (math.sqrt(dashpot**2 + 4.0 * spring) + dashpot), rel=1e-3)
+
+
+@pytest.mark.parametrize(("stiffness", "ratio"), [(2e3, 1.0), (2e3, 2.0)])
+def test_never_above_the_measured_limit_on_the_ground(stiffness: float, ratio: float) -> None:
+    """A worm in water under random bang-bang activation, by factors on the default ground that shorten the step."""
+    design = {"n_pairs": 3, "elements_per_segment": 2, "base": "free", "damping": 1e-3}
+    limit = report.measure(report.Case("ground", design, world=report.lying(stiffness, ratio).to_dict()))
+    assert limit.predicted < 0.7 * stable_dt(worm(**design), LatticeDesign().max_tension)
+    assert 0.4 <= limit.ratio <= 1.0
+
+
+@pytest.mark.parametrize("splitting", ["pyelastica", "symmetric"])
+def test_a_strong_fast_crawl(splitting: Splitting) -> None:
+    """A hardly damped worm that crawls at 1 N and 2 Hz bears the predicted step, to 1 % of its height in a second."""
+    lattice = build_lattice(LatticeDesign(base="free", damping=1e-3, max_tension=1.0))
+    layout = named_layout("all", lattice)
+    model = build_model(lattice, layout, World(medium=Medium(), ground=Ground(), lying=True))
+    ends = lattice.site_position[[[muscle.start, muscle.end] for muscle in layout.active], 2].mean(axis=1)
+    phase = 2.0 * np.pi * ends / lattice.design.height
+    phase += np.where([muscle.orientation == "vertical" for muscle in layout.active], np.pi, 0.0)
+    n_step, places = math.ceil(0.05 / stable_dt(model, 1.0, splitting)), []
+    assert 0.05 / n_step > 2e-4
+    for refinement in (1, 4):
+        engine = make_engine("fused", model, 0.05 / n_step / refinement, splitting)
+        for k in range(20):
+            tension = [0.5 + 0.5 * np.cos(4.0 * np.pi * 0.05 * end - phase) for end in (k, k + 1)]
+            assert engine.advance(np.array(tension), n_step * refinement).ok
+        places.append(engine.state.position)
+    assert np.linalg.norm(places[0] - places[1], axis=1).max() < 0.01 * lattice.design.height
 
 
 def test_lines() -> None:
@@ -259,7 +305,7 @@ def test_forks(
     monkeypatch: pytest.MonkeyPatch, one: tuple[str, list[float]], other: tuple[str, list[float]], forks: bool
 ) -> None:
     """Runs apart by more than 1 %, or of which one fails; with the same failure as far as both go, if at all."""
-    trial = report.Trial(LatticeDesign(n_pairs=3, elements_per_segment=1))
+    trial = report.Trial(LatticeDesign(n_pairs=3, elements_per_segment=1), World())
 
     def run(dt: float, n_steps: int, refinement: int, noise: float = 0.0) -> tuple[str, list[FloatArray], float]:
         status, moved = other if noise else one

@@ -113,6 +113,7 @@ class FusedEngine(Engine):
         self._lines = self._pack_lines()
         self._reach = joint_reach(model)
         self._loads = self._pack_loads()
+        self._ground = self._pack_ground()
         self._couples = self._pack_torques()
         self._spin_damping = 1.0 if any(rod.rotational_damping > 0.0 for rod in model.rods) else None
         self._account = self._open_account() if energy_check else None
@@ -189,15 +190,26 @@ class FusedEngine(Engine):
             np.array([place.rod_lane[tie.rod_b] for tie in ties], np.int64),
         )
 
-    def _pack_loads(self) -> kernels.Loads | None:
-        place, forces = self._place, self.model.forces
-        if not forces:
+    def _pack_loads(self) -> float | None:
+        """Weights and point forces: what the force on a node starts from in every step."""
+        load = self.model.node_weight.copy()
+        for force in self.model.forces:
+            load[int(self.model.node_offset[force.rod]) + force.node] += force.force
+        if not load.any():
             return None
-        return kernels.Loads(
-            np.array([place.cell(f.rod, f.node) for f in forces], np.int64),
-            np.array([place.rod_lane[f.rod] for f in forces], np.int64),
-            np.array([f.force for f in forces], np.float64),
-        )
+        for name in ("load", "force"):
+            self._cells[name][self._node_cell, :, self._node_lane] = load
+        return 1.0
+
+    def _pack_ground(self) -> kernels.Ground | None:
+        ground, cells = self.model.ground, self._cells
+        if ground is None:
+            return None
+        cells["height"][:] = -np.inf  # no spare lane touches it
+        cells["height"][self._node_cell, self._node_lane] = self.model.node_radius
+        along, against, across = ground.forward, ground.backward, ground.sideways
+        friction = ground.static_friction, ground.kinetic_friction
+        return kernels.Ground(ground.stiffness, ground.damping, *friction, along, against, across)
 
     def _pack_torques(self) -> float | None:
         for load in self.model.torques:
@@ -242,6 +254,7 @@ class FusedEngine(Engine):
             self._joint_damping,
             self._lines,
             self._loads,
+            self._ground,
             self._couples,
             self._spin_damping,
             self._symmetric,

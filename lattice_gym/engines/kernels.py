@@ -6,10 +6,10 @@ structured dtype has a compile-time offset, so LLVM proves that fields do not al
 `for j in range(LANES)` loop into packed instructions. A spare lane holds a copy of a rod that neither moves nor turns.
 
 The equations are those of Gazzola et al. 2018 (R. Soc. Open Sci. 5:171628) as PyElastica 1.0.0 discretises them:
-circular sections (so J3 = 2 J1), linear elasticity, volume-preserving stretch. Within a step, in this order:
-joints, point loads, internal forces and muscle tension, kick, drift; damping goes along with the kick or comes after
-it, see `engines.Splitting`. The half drift that ends a step and the one that begins the next are one full drift; the
-first and the last of a call are halves.
+circular sections (so J3 = 2 J1), linear elasticity, volume-preserving stretch. Within a step, in this order: weights
+and point forces (what a force starts from), joints, lines, internal forces and muscle tension, the ground's normal
+force, kick, friction, drift; damping goes along with the kick or comes after it, see `engines.Splitting`. The half
+drift that ends a step and the one that begins the next are one full drift; the first and the last of a call are halves.
 
 All of this stands in one file because numba's cache looks at one file only: a helper elsewhere could be edited
 and the old machine code would run on.
@@ -36,7 +36,7 @@ _PER_LANE: dict[str, int] = {
     # work space
     "torque": 3, "length": 1, "dilatation": 1, "lean": 3, "stretch_rate": 1, "half_angle": 1, "spin_keep": 1,
     # only where the scene has them
-    "tension": 1, "tension_rise": 1, "couple": 3, "spin_decay": 1, "spin_late": 1,
+    "tension": 1, "tension_rise": 1, "couple": 3, "spin_decay": 1, "spin_late": 1, "load": 3, "height": 1, "rubbed": 1,
 }  # fmt: skip
 CELL = np.dtype([(name, np.float64, (size, LANES) if size > 1 else (LANES,)) for name, size in _PER_LANE.items()])
 """One record of a block; `x[i, lane]` and so on. See `_PER_LANE` for the number of components."""
@@ -71,12 +71,19 @@ class Lines(NamedTuple):
     rise: npt.NDArray[np.float64]
 
 
-class Loads(NamedTuple):
-    """Constant point forces: record and lane (n_load,), force [N] (n_load, 3) in the laboratory frame."""
+class Ground(NamedTuple):
+    """The plane z = 0: spring [N/m] and dashpot [N s/m] of a node, Coulomb's coefficients of friction.
 
-    cell: npt.NDArray[np.int64]
-    lane: npt.NDArray[np.int64]
-    force: npt.NDArray[np.float64]
+    `along`, `against` and `across` are factors on both coefficients for slip towards +x, towards -x and along y.
+    """
+
+    stiffness: float
+    damping: float
+    static_friction: float
+    kinetic_friction: float
+    along: float
+    against: float
+    across: float
 
 
 class Account(NamedTuple):
@@ -238,16 +245,55 @@ def _large_half_angle(pair: Cells) -> None:
 
 
 @compiled
-def _move_node(here: Any, drift: float) -> None:
-    """Kick, damp and drift node n, and clear its force for the next step."""
-    x, v, force, push, keep = here.x, here.v, here.force, here.push, here.keep
+def _move_node(here: Any, drift: float, loads: float | None, ground: Ground | None, account: Account | None) -> None:
+    """Kick, damp and drift node n, and reset its force to its constant load for the next step."""
+    x, v, force, push, keep, load = here.x, here.v, here.force, here.push, here.keep, here.load
+    if ground is not None:
+        _kick_on_ground(here, ground, account)
     for j in range(LANES):
-        u = v[0, j] * keep[j] + force[0, j] * push[j]
-        v[0, j], x[0, j], force[0, j] = u, x[0, j] + drift * u, 0.0
-        u = v[1, j] * keep[j] + force[1, j] * push[j]
-        v[1, j], x[1, j], force[1, j] = u, x[1, j] + drift * u, 0.0
-        u = v[2, j] * keep[j] + force[2, j] * push[j]
-        v[2, j], x[2, j], force[2, j] = u, x[2, j] + drift * u, 0.0
+        if ground is not None:
+            u0, u1, u2 = v[0, j], v[1, j], v[2, j]
+        else:
+            u0 = v[0, j] * keep[j] + force[0, j] * push[j]
+            u1 = v[1, j] * keep[j] + force[1, j] * push[j]
+            u2 = v[2, j] * keep[j] + force[2, j] * push[j]
+        f0, f1, f2 = 0.0, 0.0, 0.0
+        if loads is not None:
+            f0, f1, f2 = load[0, j], load[1, j], load[2, j]
+        v[0, j], x[0, j], force[0, j] = u0, x[0, j] + drift * u0, f0
+        v[1, j], x[1, j], force[1, j] = u1, x[1, j] + drift * u1, f1
+        v[2, j], x[2, j], force[2, j] = u2, x[2, j] + drift * u2, f2
+
+
+@compiled
+def _kick_on_ground(here: Any, ground: Ground, account: Account | None) -> None:
+    """Kick and damp node n, borne and held back by the ground.
+
+    The normal force is that of a spring and a dashpot, but never pulls; it takes the velocity before the kick. It
+    bounds the friction, which takes from the velocity after the kick and the damping: all of it where that is within
+    its reach (the node sticks), else as much as it can. So it balances the sum of all other forces, and feeds nothing.
+    For the account: twice the power that goes, of dashpot and friction at the mean velocity of the step.
+    """
+    x, v, force, push, keep = here.x, here.v, here.force, here.push, here.keep
+    height, rubbed = here.height, here.rubbed
+    for j in range(LANES):
+        depth = height[j] - x[2, j]
+        bare = ground.stiffness * depth
+        normal = bare - ground.damping * v[2, j]
+        normal = normal if depth > 0.0 and normal > 0.0 else 0.0
+        u0 = v[0, j] * keep[j] + force[0, j] * push[j]
+        u1 = v[1, j] * keep[j] + force[1, j] * push[j]
+        u2 = v[2, j] * keep[j] + (force[2, j] + normal) * push[j]
+        slip = u0 * u0 + u1 * u1
+        a, b = u0 * (ground.along if u0 > 0.0 else ground.against), u1 * ground.across
+        # The coefficients' common factor, sqrt(a^2 + b^2) over the speed, times the speed.
+        grip = np.sqrt(a * a + b * b) * normal * push[j]
+        left = 1.0 - ground.kinetic_friction * grip / slip if slip > ground.static_friction * grip else 0.0
+        if account is not None:
+            lost = (1.0 - left) * (u0 * (v[0, j] + left * u0) + u1 * (v[1, j] + left * u1))
+            lost = lost / push[j] if lost != 0.0 else 0.0
+            rubbed[j] = lost + ((bare if depth > 0.0 else 0.0) - normal) * (v[2, j] + u2)
+        v[0, j], v[1, j], v[2, j] = left * u0, left * u1, u2
 
 
 @compiled
@@ -401,6 +447,9 @@ def _step_blocks(
     couples: float | None,
     spin_damping: float | None,
     symmetric: float | None,
+    loads: float | None,
+    ground: Ground | None,
+    account: Account | None,
 ) -> None:
     """Advance every block by one kick and one drift in a single pass over its records.
 
@@ -411,14 +460,14 @@ def _step_blocks(
         rods = cells[block[b, 0] : block[b, 1]]
         last = rods.shape[0] - 2
         _stress(rods[0:2], tension, couples)
-        _move_node(rods[0], drift)
+        _move_node(rods[0], drift, loads, ground, account)
         for e in range(last):
             _stress(rods[e + 1 : e + 3], tension, couples)
-            _move_node(rods[e + 1], drift)
+            _move_node(rods[e + 1], drift, loads, ground, account)
             _couple(rods[e : e + 2])
             _spin_element(rods[e : e + 2], dt, spin_damping, symmetric)
             _rotate_element(rods[e], drift)
-        _move_node(rods[last + 1], drift)
+        _move_node(rods[last + 1], drift, loads, ground, account)
         _spin_element(rods[last : last + 2], dt, spin_damping, symmetric)
         _rotate_element(rods[last], drift)
 
@@ -461,7 +510,8 @@ def advance(
     joints: Joints,
     joint_damping: npt.NDArray[np.float64] | None,
     lines: Lines | None,
-    loads: Loads | None,
+    loads: float | None,
+    ground: Ground | None,
     couples: float | None,
     spin_damping: float | None,
     symmetric: float | None,
@@ -486,17 +536,14 @@ def advance(
             _apply_lines(cells, lines)
             if account is not None:
                 _line_work(cells, lines, account, 1.25 if step == 0 else 1.5)
-        if loads is not None:
-            for k in range(loads.cell.shape[0]):
-                for i in range(3):
-                    cells[loads.cell[k]].force[i, loads.lane[k]] += loads.force[k, i]
-        _step_blocks(cells, passive, dt, drift, None, couples, spin_damping, symmetric)
-        _step_blocks(cells, active, dt, drift, 1.0, couples, spin_damping, symmetric)
+        _step_blocks(cells, passive, dt, drift, None, couples, spin_damping, symmetric, loads, ground, account)
+        _step_blocks(cells, active, dt, drift, 1.0, couples, spin_damping, symmetric, loads, ground, account)
         if account is not None:
             if joint_damping is not None:
                 _joint_loss(cells, joints, joint_damping, account, dt)
-            _account(cells, passive, account, None, couples, spin_damping, symmetric, 0.0, dt)
-            _account(cells, active, account, 1.0, couples, spin_damping, symmetric, 1.25 if step == 0 else 1.5, dt)
+            ago = 1.25 if step == 0 else 1.5
+            _account(cells, passive, account, None, couples, spin_damping, symmetric, ground, 0.0, dt)
+            _account(cells, active, account, 1.0, couples, spin_damping, symmetric, ground, ago, dt)
     if account is not None:
         _close_account(cells, active, account)
         if lines is not None:
@@ -522,6 +569,7 @@ def _account(
     couples: float | None,
     spin_damping: float | None,
     symmetric: float | None,
+    ground: Ground | None,
     ago: float,
     dt: float,
 ) -> None:
@@ -544,6 +592,10 @@ def _account(
                 for j in range(LANES):
                     lost += v[i, j] * (after[j] * v[i, j] + mixed[j] * u[i, j]) + before[j] * u[i, j] * u[i, j]
                     u[i, j] = v[i, j]
+            if ground is not None:
+                rubbed = cells[n].rubbed
+                for j in range(LANES):
+                    lost += 0.5 * dt * rubbed[j]
         for n in range(first, last):
             here, early = cells[n], account.omega[n]
             w, couple = here.w, here.couple

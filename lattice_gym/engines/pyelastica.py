@@ -1,17 +1,20 @@
 """The reference engine: the model assembled from PyElastica's own rods, joints, constraints, damping and stepper.
 
-It calls none of the compiled laws of the fused engine; rest strains and curvatures are PyElastica's own, too.
+It calls none of the compiled laws of the fused engine; rest strains and curvatures are PyElastica's own, too. The
+ground is ours: PyElastica's `RodPlaneContact` cancels what forces were summed on a node before it came, so that a rod
+rests at the depth of its weight over the stiffness or at none at all, as gravity is declared after it or before.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 from elastica.boundary_conditions import FixedConstraint
-from elastica.dissipation import AnalyticalLinearDamper
-from elastica.external_forces import NoForces
+from elastica.dissipation import AnalyticalLinearDamper, DamperBase
+from elastica.external_forces import GravityForces, NoForces
 from elastica.joint import ConnectionBase, FreeJoint
 from elastica.modules.base_system import BaseSystemCollection
 from elastica.modules.connections import Connections
@@ -26,6 +29,7 @@ from lattice_gym.design import FloatArray
 from lattice_gym.energy import Flow
 from lattice_gym.engines import MAX_DILATATION, MIN_DILATATION, Engine, Health, Status, joint_reach, overstretched, torn
 from lattice_gym.model import Rod, RodModel, RodState
+from lattice_gym.world import Ground
 
 _START = np.float64(0.0)
 _LARGEST_RATE = 300.0
@@ -114,6 +118,58 @@ class _PointLoads(NoForces[CosseratRod]):
         system.external_torques += self.torques
 
 
+@dataclass(frozen=True, eq=False)
+class _Footing:
+    """What the ground does to the nodes of one rod in a step: written by its two parts, one before and one after.
+
+    `normal` is its normal force [N] and `dashpot` what that has from the dashpot, shape (n_node,); `friction` is in
+    the plane [N], shape (2, n_node).
+    """
+
+    normal: FloatArray
+    dashpot: FloatArray
+    friction: FloatArray
+
+
+class _GroundForce(NoForces[CosseratRod]):
+    """Normal force of the plane z = 0 on the nodes of one rod, whose radii there are given [m], shape (n_node,)."""
+
+    def __init__(self, ground: Ground, radius: FloatArray, footing: _Footing) -> None:
+        super().__init__()
+        self.ground, self.radius, self.footing = ground, radius, footing
+
+    def apply_forces(self, system: CosseratRod, time: np.float64 = _START) -> None:
+        depth = np.maximum(self.radius - system.position_collection[2], 0.0)
+        spring = self.ground.stiffness * depth
+        dashpot = np.where(depth > 0.0, -self.ground.damping * system.velocity_collection[2], 0.0)
+        self.footing.normal[:] = np.maximum(spring + dashpot, 0.0)
+        self.footing.dashpot[:] = self.footing.normal - spring
+        system.external_forces[2] += self.footing.normal
+
+
+class _GroundFriction(DamperBase[CosseratRod]):
+    """Coulomb friction: an impulse against the slip that all else left, at most its coefficient times the normal one.
+
+    PyElastica damps in the order in which dampers are declared, after all kicks and constraints: this comes last.
+    `push` is what a unit force adds to a node's velocity in a step, shape (n_node,).
+    """
+
+    def __init__(self, ground: Ground, push: FloatArray, footing: _Footing, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.ground, self.push, self.footing = ground, push, footing
+
+    def dampen_rates(self, system: CosseratRod, time: np.float64 = _START) -> None:
+        slip, ground = system.velocity_collection[:2], self.ground
+        speed = np.hypot(slip[0], slip[1])
+        direction = np.divide(slip, speed, out=np.zeros_like(slip), where=speed > 0.0)
+        along = np.where(direction[0] > 0.0, ground.forward, ground.backward)
+        bound = self.footing.normal * np.hypot(along * direction[0], ground.sideways * direction[1])
+        sticks = speed <= ground.static_friction * bound * self.push
+        kinetic = -ground.kinetic_friction * bound * direction
+        self.footing.friction[:] = np.where(sticks, -slip / self.push, kinetic)
+        slip[:] = np.where(sticks, 0.0, slip + kinetic * self.push)
+
+
 def _make_rod(rod: Rod) -> CosseratRod:
     """Rod in PyElastica's arrays (components first), free of stress in its shape or of its natural curvature."""
     made = CosseratRod.straight_rod(
@@ -143,6 +199,7 @@ class PyElasticaEngine(Engine):
         for index, rod in enumerate(self._rods):
             rod.mass[:] = model.node_mass[model.nodes(index)]
         self._tension = np.zeros((model.n_muscle, 1))
+        self._footing: list[_Footing] = []
         self._stepper = PositionVerlet()
         self._simulator = self._assemble()
         self._reach = joint_reach(model)
@@ -164,6 +221,9 @@ class PyElasticaEngine(Engine):
             )
         for index, (forces, torques) in self._point_loads().items():
             simulator.add_forcing_to(rods[index]).using(_PointLoads, forces, torques)
+        if model.gravity is not None:
+            for made in rods:
+                simulator.add_forcing_to(made).using(GravityForces, acc_gravity=model.gravity)
         nodes, elements = defaultdict(list), defaultdict(list)
         for clamp in model.clamps:
             if clamp.node is not None:
@@ -180,14 +240,33 @@ class PyElasticaEngine(Engine):
             node_damping = model.node_damping[model.nodes(index)]
             if node_damping.any() or rod.rotational_damping > 0.0:
                 simulator.dampen(made).using(_NodeDamper, node_damping, rod.rotational_damping, time_step=self.dt)
+        if model.ground is not None:
+            self._lay_ground(simulator, model.ground)
         simulator.finalize()
         return simulator
 
+    def _lay_ground(self, simulator: _Assembly, ground: Ground) -> None:
+        for index, rod in enumerate(self._rods):
+            nodes, n_node = self.model.nodes(index), len(rod.mass)
+            footing = _Footing(np.zeros(n_node), np.zeros(n_node), np.zeros((2, n_node)))
+            kept = np.exp(-self.model.node_damping[nodes] / rod.mass * self.dt)
+            simulator.add_forcing_to(rod).using(_GroundForce, ground, self.model.node_radius[nodes], footing)
+            simulator.dampen(rod).using(_GroundFriction, ground, self.dt / rod.mass * kept, footing)
+            self._footing.append(footing)
+
     def _point_loads(self) -> dict[int, tuple[FloatArray, FloatArray]]:
+        """Collect forces on nodes and torques on elements by rod; buoyancy is such a force."""
         loads: dict[int, tuple[FloatArray, FloatArray]] = {}
-        for index in {load.rod for load in self.model.forces} | {load.rod for load in self.model.torques}:
-            n_elem = self.model.rods[index].n_elem
+        model = self.model
+        floats = model.gravity is not None and model.medium_density > 0.0
+        loaded = {load.rod for load in model.forces} | {load.rod for load in model.torques}
+        for index in range(model.n_rod) if floats else loaded:
+            n_elem = model.rods[index].n_elem
             loads[index] = np.zeros((3, n_elem + 1)), np.zeros((3, n_elem))
+            if model.gravity is not None:
+                loads[index][0][:] -= np.outer(
+                    model.gravity, model.medium_density * model.node_volume[model.nodes(index)]
+                )
         for force in self.model.forces:
             loads[force.rod][0][:, force.node] += force.force
         for torque in self.model.torques:
@@ -233,7 +312,9 @@ class PyElasticaEngine(Engine):
                 if before is not None:
                     length, state = before
                     work = float(self._tension[:, 0] @ (length - self._muscle_length()))
-                    self._gone += np.array([work, self._torque_work(state), self._loss(state)])
+                    self._gone += np.array(
+                        [work, self._torque_work(state), self._loss(state) + self._ground_loss(state)]
+                    )
         return self._health()
 
     def _flow(self) -> Flow:
@@ -290,6 +371,14 @@ class PyElasticaEngine(Engine):
             )
             lost += 0.5 * self.dt * joint.damping * float(early_rate @ (early_rate + rate))
         return lost
+
+    def _ground_loss(self, before: RodState) -> float:
+        """Energy that dashpots and friction of the ground took in the step just taken [J], at the mean velocity."""
+        power = 0.0
+        for index, footing in enumerate(self._footing):
+            mean = 0.5 * (before.velocity[self.model.nodes(index)].T + self._rods[index].velocity_collection)
+            power += float((footing.dashpot * mean[2]).sum() + (footing.friction * mean[:2]).sum())
+        return -self.dt * power
 
     def _health(self) -> Health:
         """Status of the first rod and element found at fault."""

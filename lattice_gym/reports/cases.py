@@ -29,6 +29,7 @@ from lattice_gym.model import (
 )
 from lattice_gym.muscles import named_layout
 from lattice_gym.reports.buckling import localised_buckle, michell_ring
+from lattice_gym.reports.ground import GROUND_CASES
 from lattice_gym.reports.scene import SETTLING, Case, Reading, Scene, pass_time, with_velocity
 from lattice_gym.stability import stable_dt
 
@@ -580,5 +581,6 @@ CASES = (
         reason="the rods give: k over the stiffness of their middles, of order 4 E I / L^3, is 3e-4; half of it shows "
         "in the middles' distance",
     ),
+    *GROUND_CASES,
 )
-"""Every case of a rod assembly without contact."""
+"""Every case, those with a ground last."""

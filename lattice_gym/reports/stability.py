@@ -40,6 +40,7 @@ from lattice_gym.model import RodModel, build_model
 from lattice_gym.muscles import advance_activation, named_layout
 from lattice_gym.reports.provenance import provenance, table, write
 from lattice_gym.stability import stable_dt
+from lattice_gym.world import Ground, Medium, World
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,6 +78,7 @@ GRID: dict[str, dict[str, tuple[float, ...]]] = {
     "mesh": {"radius": (0.2, 0.4, 0.7, 1, 1.4, 2), "elements": (1, 2, 4, 8, 16, 25)},
     "load": {"tension": (0, 0.5, 1, 2, 4), "modulus": (0.01, 0.1, 1, 10, 100, 1000)},
     "damping": {"damping": (0, 1, 10, 100, 1000), "connection": (1, 10, 100, 1e3, 1e4, 1e5)},
+    "ground": {"ground": (1, 10, 100, 1e3, 1e4, 1e5), "dashpot": (0, 0.5, 1, 2)},
 }
 LABELS = {
     "modulus": "Young's moduli / default",
@@ -85,6 +87,8 @@ LABELS = {
     "elements": "elements per segment",
     "tension": "tension / default",
     "damping": "damping / default",
+    "ground": "ground's stiffness / default",
+    "dashpot": "ground's damping ratio / default",
 }
 
 
@@ -95,6 +99,8 @@ class Case:
     group: str
     design: dict[str, Any]
     factors: dict[str, float] = field(default_factory=dict)
+    world: dict[str, Any] = field(default_factory=dict)
+    """What surrounds it, in dict form."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +139,19 @@ def grid_cases(quick: bool) -> Iterator[Case]:
         (x, xs), (y, ys) = axes.items()
         for b in ys[:: 2 if quick else 1]:
             for a in xs[:: 2 if quick else 1]:
-                yield Case(group, _scaled({x: a, y: b}, n_pairs=3), {x: a, y: b})
+                factors = {x: a, y: b}
+                if group == "ground":
+                    yield Case(group, _scaled({}, n_pairs=3, base="free"), factors, lying(a, b).to_dict())
+                else:
+                    yield Case(group, _scaled(factors, n_pairs=3), factors)
+
+
+def lying(stiffness: float, damping_ratio: float) -> World:
+    """Lie in water on a ground with factors on the default's stiffness and its ratio of damping to critical."""
+    default = Ground()
+    damping = damping_ratio * math.sqrt(stiffness) * default.damping
+    ground = replace(default, stiffness=stiffness * default.stiffness, damping=damping)
+    return World(medium=Medium(), ground=ground, lying=True)
 
 
 def _scaled(factors: dict[str, float], **changes: Any) -> dict[str, Any]:
@@ -191,10 +209,10 @@ def _spread(rng: np.random.Generator, low: float, high: float) -> float:
 class Trial:
     """One design, run at any step."""
 
-    def __init__(self, design: LatticeDesign) -> None:
+    def __init__(self, design: LatticeDesign, world: World) -> None:
         lattice = build_lattice(design)
         self.design = design
-        self.model: RodModel = build_model(lattice, named_layout("all", lattice))
+        self.model: RodModel = build_model(lattice, named_layout("all", lattice), world)
         self.predicted = stable_dt(self.model, design.max_tension, SPLITTING)
 
     def fault(self, dt: float, n_steps: int) -> str:
@@ -256,7 +274,7 @@ class Trial:
 def measure(case: Case) -> Limit:
     """Bisect the limits of one case."""
     begin = time.perf_counter()
-    trial = Trial(LatticeDesign(**case.design))
+    trial = Trial(LatticeDesign(**case.design), World.from_dict(case.world))
     limit = _bisect(case, trial, 1)
     if limit.ratio < LEAST_RATIO:
         limit = _bisect(case, trial, LONGER)
@@ -459,8 +477,8 @@ def _figure(limits: list[Limit]) -> Figure:
     """Heat maps of ratio and limit for each pair of parameters, and predicted over measured for every case."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 11.5), layout="constrained")
-    grid = figure.add_gridspec(3, 4, height_ratios=[1.0, 1.0, 1.35])
+    figure = Figure(figsize=(18, 11.5), layout="constrained")
+    grid = figure.add_gridspec(3, 5, height_ratios=[1.0, 1.0, 1.35])
     for column, group in enumerate(GRID):
         members = [limit for limit in limits if limit.case.group == group]
         for row, kind in enumerate(("ratio", "limit")):

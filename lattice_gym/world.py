@@ -1,0 +1,160 @@
+"""What surrounds a worm: medium, ground and bolus, their units and their bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, ClassVar, Self
+
+from lattice_gym.design import finite_number, shown
+
+Bounds = dict[str, tuple[float, float, str]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """Numbers within bounds, given by name; anything else is a ValueError that names the field."""
+
+    bounds: ClassVar[Bounds]
+    """Least and largest value of every field, both included, and its unit."""
+
+    def __post_init__(self) -> None:
+        for name, (low, high, unit) in self.bounds.items():
+            given = getattr(self, name)
+            number = finite_number(given)
+            if number is None or not low <= number <= high:
+                label = f"{type(self).__name__}.{name} = {shown(given)}"
+                raise ValueError(f"{label}: must be a number from {low:g} to {high:g} [{unit}]")
+            object.__setattr__(self, name, number)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Make it from its fields by name; those that are missing have their defaults."""
+        if not isinstance(values, Mapping):
+            raise ValueError(f"{cls.__name__}: must be a mapping of names to numbers, got {shown(values)}")
+        unknown = [name for name in values if name not in cls.bounds]
+        if unknown:
+            raise ValueError(f"{cls.__name__}: has no {unknown[0]!r}; it has {', '.join(cls.bounds)}")
+        return cls(**values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Medium(_Part):
+    """Fluid at rest around the worm, under gravity along -z."""
+
+    bounds: ClassVar[Bounds] = {
+        "gravity": (0.0, 100.0, "m/s^2"),
+        "density": (0.0, 20_000.0, "kg/m^3"),
+        "drag": (0.0, 1e6, "N s/m^2"),
+    }
+
+    gravity: float = 9.81
+    """[m/s^2]"""
+    density: float = 1000.0
+    """Of the fluid [kg/m^3]: what it carries of a rod's weight."""
+    drag: float = 0.0
+    """Resistance to motion, per speed and length of a rod [N s/m^2]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground(_Part):
+    """The plane z = 0, with normal contact and Coulomb friction; the defaults bear the default worm in water.
+
+    It then rests at a depth of at most 5 % of a rod's radius, and the ground shortens the stable step by under 1 %.
+    """
+
+    bounds: ClassVar[Bounds] = {
+        "stiffness": (1e-6, 1e9, "N/m"),
+        "damping": (0.0, 1e6, "N s/m"),
+        "static_friction": (0.0, 100.0, "1"),
+        "kinetic_friction": (0.0, 100.0, "1"),
+        "forward": (0.0, 100.0, "1"),
+        "backward": (0.0, 100.0, "1"),
+        "sideways": (0.0, 100.0, "1"),
+    }
+
+    stiffness: float = 100.0
+    """Of a node's contact [N/m]."""
+    damping: float = 0.1
+    """Of a node's contact, along the normal [N s/m]."""
+    static_friction: float = 0.5
+    kinetic_friction: float = 0.5
+    """Friction over normal force, at rest (never less than in motion) and in motion."""
+    forward: float = 1.0
+    backward: float = 1.0
+    sideways: float = 1.0
+    """Factors on both coefficients for slip along +x, along -x and across: all 1 is isotropic."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.static_friction < self.kinetic_friction:
+            raise ValueError(
+                f"Ground.static_friction = {self.static_friction!r}: must not be below "
+                f"kinetic_friction = {self.kinetic_friction!r}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bolus(_Part):
+    """A rigid ball inside the lattice."""
+
+    bounds: ClassVar[Bounds] = {
+        "radius": (1e-4, 10.0, "m"),
+        "density": (1e-3, 1e5, "kg/m^3"),
+        "level": (0.0, 1e4, "levels"),
+        "stiffness": (1e-6, 1e9, "N/m"),
+        "damping": (0.0, 1e6, "N s/m"),
+        "friction": (0.0, 100.0, "1"),
+        "slip_speed": (1e-9, 1e3, "m/s"),
+    }
+
+    radius: float = 0.03
+    """[m]"""
+    density: float = 1000.0
+    """[kg/m^3]"""
+    level: float = 1.0
+    """Where its centre starts, on the axis, in levels from the base."""
+    stiffness: float = 50.0
+    """Of its contact with an element [N/m]."""
+    damping: float = 0.05
+    """Of that contact, along the normal [N s/m]."""
+    friction: float = 0.3
+    """Friction over normal force."""
+    slip_speed: float = 1e-3
+    """Speed of slip at which friction reaches its full size [m/s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """What a scene has besides the worm; `World()` is nothing at all."""
+
+    medium: Medium | None = None
+    ground: Ground | None = None
+    bolus: Bolus | None = None
+    lying: bool = False
+    """The axis along +x instead of +z, the lowest surface of a rod at z = 0."""
+
+    def __post_init__(self) -> None:
+        for name, kind in (("medium", Medium), ("ground", Ground), ("bolus", Bolus)):
+            given = getattr(self, name)
+            if isinstance(given, Mapping):
+                object.__setattr__(self, name, kind.from_dict(given))
+            elif given is not None and not isinstance(given, kind):
+                raise ValueError(f"World.{name} = {shown(given)}: must be {kind.__name__}, its dict form or None")
+        if not isinstance(self.lying, bool):
+            raise ValueError(f"World.lying = {shown(self.lying)}: must be True or False")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields by name, with what is absent as None; JSON can hold them."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> World:
+        """World from its fields by name; those that are missing are absent."""
+        if not isinstance(values, Mapping):
+            raise ValueError(f"World: must be a mapping of names to parts, got {shown(values)}")
+        known = [item.name for item in fields(cls)]
+        unknown = [name for name in values if name not in known]
+        if unknown:
+            raise ValueError(f"World: has no {unknown[0]!r}; it has {', '.join(known)}")
+        return cls(**values)
