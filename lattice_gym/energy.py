@@ -54,6 +54,10 @@ class StoredEnergy:
     """Spring of every joint, shape (n_joint,)."""
     line: FloatArray
     """Stretch of every line, shape (n_line,)."""
+    bolus: FloatArray
+    """Kinetic energy of the ball, shape (n_bolus,)."""
+    contact: FloatArray
+    """Spring between the ball and every element, shape (n_bolus n_elem,)."""
     weight: FloatArray
     """Weight in the medium times height above rest of every node, shape (n_node,); none without gravity."""
     ground: FloatArray
@@ -72,9 +76,9 @@ class Flow:
     muscle_work: float = 0.0
     """Work that the muscles' tension did."""
     load_work: float = 0.0
-    """Work that point forces and torques did."""
+    """Work that point forces and torques did, and the constant force on the ball."""
     dissipated: float = 0.0
-    """What the damping of nodes, spin and joints took, never negative, and dashpots and friction of the ground."""
+    """What damping of nodes, spin and joints took, the contacts of the ball, dashpots and friction of the ground."""
 
 
 @dataclass(frozen=True)
@@ -144,9 +148,31 @@ class EnergyMeter:
             bend=0.5 * self._voronoi * np.einsum("ni,ni->n", self._rigidity, bent * bent) / region**2,
             joint=0.5 * self._spring * _square_distance(x, *self._joint_ends),
             line=self._line_energy(x),
+            bolus=self._ball_energy(state),
+            contact=self._contact_energy(state),
             weight=self._weight_energy(x),
             ground=self._ground_energy(x),
         )
+
+    def _ball_energy(self, state: RodState) -> FloatArray:
+        ball = self.model.bolus
+        if ball is None:
+            return np.zeros(0)
+        square = [np.sum(moving**2, axis=1) for moving in (state.bolus_velocity, state.bolus_omega)]
+        energy: FloatArray = 0.5 * ball.mass * square[0] + 0.5 * ball.inertia * square[1]
+        return energy
+
+    def _contact_energy(self, state: RodState) -> FloatArray:
+        ball = self.model.bolus
+        if ball is None:
+            return np.zeros(0)
+        start = state.position[self._lower]
+        side, centre = state.position[self._lower + 1] - start, state.bolus_position - start
+        share = np.clip(np.sum(centre * side, axis=1) / np.sum(side**2, axis=1), 0.0, 1.0)
+        distance = np.linalg.norm(centre - share[:, None] * side, axis=1)
+        depth = np.maximum(ball.radius + self.model.element_radius - distance, 0.0)
+        energy: FloatArray = 0.5 * ball.stiffness * depth**2
+        return energy
 
     def _weight_energy(self, x: FloatArray) -> FloatArray:
         if self.model.gravity is None:
@@ -168,8 +194,11 @@ class EnergyMeter:
         return energy
 
     def force_work(self, before: RodState, after: RodState) -> float:
-        """Work of the constant point forces between two states [J]."""
-        return sum(float(force @ (after.position[node] - before.position[node])) for node, force in self._forces)
+        """Work of the constant forces on nodes and on the ball between two states [J]."""
+        work = sum(float(force @ (after.position[node] - before.position[node])) for node, force in self._forces)
+        if self.model.bolus is not None:
+            work += float((after.bolus_position - before.bolus_position)[0] @ self.model.bolus.force)
+        return work
 
     def most(self, energy: StoredEnergy) -> tuple[int, int]:
         """Rod and element that hold most, by kinetic, stretch and bending energy."""

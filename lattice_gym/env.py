@@ -355,7 +355,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
             self._renderer = Renderer(self.lattice, self.model)
         position = self._state.position
-        return self._renderer.update(position, self.activation, self.time, self.task.caption(position))
+        caption, bolus = self.task.caption(position), self._state.bolus_position
+        return self._renderer.update(position, self.activation, self.time, caption, bolus)
 
     def close(self) -> None:
         """Free the renderer."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Integral
 
@@ -338,6 +338,51 @@ class PointTorque:
     torque: tuple[float, float, float]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ball:
+    """Rigid uniform ball that pushes at elements of rods, each a cylinder of its rest radius with round ends.
+
+    Where it overlaps one by a depth, with u the velocity of its material at the nearest point of the centre line over
+    that of the line there, it pushes with N = max(0, stiffness depth - damping u_n) along the normal and drags with
+    friction N u_t / max(|u_t|, slip_speed), Coulomb's law for all but slow slip. Both act on the centre line: the lever
+    rule shares them between its two nodes, and the ball has the opposite force and its moment, so that momentum and
+    angular momentum close; the rod is not twisted. No step may do more than halve a slip: where friction would, the
+    speed at which it just halves it, in proportion to N dt, takes the place of `slip_speed`.
+    """
+
+    position: FloatArray
+    """Where its centre starts [m], shape (3,)."""
+    radius: float
+    """[m]"""
+    mass: float
+    """[kg]"""
+    stiffness: float
+    """Of the contact with an element [N/m]."""
+    damping: float = 0.0
+    """Of that contact, along the normal [N s/m]."""
+    friction: float = 0.0
+    """Friction over normal force."""
+    slip_speed: float = 1e-3
+    """[m/s]"""
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Constant force, as its weight less what the medium carries [N]."""
+
+    def __post_init__(self) -> None:
+        for name in ("radius", "mass", "slip_speed"):
+            object.__setattr__(self, name, _number(f"Ball.{name}", getattr(self, name), above=True))
+        for name in ("stiffness", "damping", "friction"):
+            object.__setattr__(self, name, _number(f"Ball.{name}", getattr(self, name), above=False))
+        object.__setattr__(self, "position", _array("Ball.position", self.position, (3,)))
+        object.__setattr__(self, "force", tuple(_array("Ball.force", self.force, (3,)).tolist()))
+        sound = self.inertia > 0.0 and math.isfinite(self.inertia) and math.isfinite(1.0 / self.inertia)
+        _require(sound, "Ball.radius, mass: inertia leaves the range of numbers; they are far too large or too small")
+
+    @property
+    def inertia(self) -> float:
+        """Moment of inertia about any diameter [kg m^2]."""
+        return 0.4 * self.mass * self.radius**2
+
+
 PARTS: dict[str, type] = {
     "rods": Rod,
     "joints": Joint,
@@ -370,6 +415,7 @@ class RodModel:
     """Rods that contract, in the order of the tensions."""
     lines: tuple[Line, ...] = ()
     """Muscles without nodes; their tensions follow those of `muscles`."""
+    bolus: Ball | None = None
     gravity: FloatArray | None = None
     """[m/s^2], shape (3,); None is none."""
     medium_density: float = 0.0
@@ -415,6 +461,8 @@ class RodModel:
         for k, rod in enumerate(self.muscles):
             self._check_index(f"muscles[{k}]", rod, 0, extra=0)
         _require(len(set(self.muscles)) == len(self.muscles), "muscles: a rod is named twice")
+        known = self.bolus is None or isinstance(self.bolus, Ball)
+        _require(known, f"bolus = {shown(self.bolus)}: must be Ball or None")
         self._check_world()
 
     def _check_world(self) -> None:
@@ -454,6 +502,11 @@ class RodModel:
         """Number of muscles."""
         return len(self.muscles) + len(self.lines)
 
+    @property
+    def n_bolus(self) -> int:
+        """Number of balls, 0 or 1."""
+        return 0 if self.bolus is None else 1
+
     @cached_property
     def node_mass(self) -> FloatArray:
         """Mass of every node [kg], shape (n_node,): its rod's share and what lines put on it."""
@@ -466,6 +519,11 @@ class RodModel:
             [rod.mass / rod.density for rod in self.rods],
             [float(line.mass) / float(line.density) for line in self.lines],
         )
+
+    @cached_property
+    def element_radius(self) -> FloatArray:
+        """Radius of every element at rest [m], shape (n_elem,)."""
+        return np.concatenate([rod.radius for rod in self.rods])
 
     @cached_property
     def node_damping(self) -> FloatArray:
@@ -536,7 +594,14 @@ class RodModel:
             velocity=np.zeros((self.n_node, 3)),
             directors=np.concatenate([rod.directors for rod in self.rods]),
             omega=np.zeros((self.n_elem, 3)),
+            bolus_position=np.reshape([] if self.bolus is None else self.bolus.position, (-1, 3)),
+            bolus_velocity=np.zeros((self.n_bolus, 3)),
+            bolus_omega=np.zeros((self.n_bolus, 3)),
         )
+
+
+def _no_bolus() -> FloatArray:
+    return np.zeros((0, 3))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -551,12 +616,18 @@ class RodState:
     """Rows d1, d2, d3 of each element, shape (n_elem, 3, 3)."""
     omega: FloatArray
     """Angular velocities in the material frame [rad/s], shape (n_elem, 3)."""
+    bolus_position: FloatArray = field(default_factory=_no_bolus)
+    """Position of the ball's centre [m], shape (n_bolus, 3)."""
+    bolus_velocity: FloatArray = field(default_factory=_no_bolus)
+    """[m/s], shape (n_bolus, 3)"""
+    bolus_omega: FloatArray = field(default_factory=_no_bolus)
+    """Angular velocity in the laboratory frame [rad/s], shape (n_bolus, 3)."""
     time: float = 0.0
     """[s]"""
 
     def copy(self) -> RodState:
         """Return a state that shares no memory with this one."""
-        arrays = {name: getattr(self, name).copy() for name in ("position", "velocity", "directors", "omega")}
+        arrays = {name: value.copy() for name, value in vars(self).items() if name != "time"}
         return replace(self, **arrays)
 
     def check(self, model: RodModel) -> None:
@@ -566,6 +637,9 @@ class RodState:
             "velocity": (model.n_node, 3),
             "directors": (model.n_elem, 3, 3),
             "omega": (model.n_elem, 3),
+            "bolus_position": (model.n_bolus, 3),
+            "bolus_velocity": (model.n_bolus, 3),
+            "bolus_omega": (model.n_bolus, 3),
         }
         for name, shape in shapes.items():
             array = real_array(f"RodState.{name}", getattr(self, name))
@@ -618,13 +692,16 @@ def build_model(lattice: Lattice, layout: MuscleLayout, world: World | None = No
     muscles = [_muscle_rod(lattice, muscle) for muscle in layout.active]
     lines = tuple(_muscle_line(lattice, muscle, rod) for muscle, rod in zip(layout.active, muscles, strict=True))
     as_lines = design.muscle_model == "line"
-    rods = structure if as_lines else [*structure, *muscles]
+    rods, ball = structure if as_lines else [*structure, *muscles], _ball(lattice, world)
+    if world.lying:
+        rods, ball = _laid_down(rods, ball)
     return RodModel(
-        rods=tuple(_laid_down(rods) if world.lying else rods),
+        rods=tuple(rods),
         joints=tuple(_lattice_joints(lattice, layout)),
         clamps=tuple(Clamp(i, node=0, element=0) for i in range(lattice.n_rod)) if design.base == "clamped" else (),
         muscles=() if as_lines else tuple(range(lattice.n_rod, lattice.n_rod + len(muscles))),
         lines=lines if as_lines else (),
+        bolus=ball,
         gravity=None if medium is None else np.array([0.0, 0.0, -medium.gravity]),
         medium_density=0.0 if medium is None else medium.density,
         medium_drag=0.0 if medium is None else medium.drag,
@@ -632,13 +709,33 @@ def build_model(lattice: Lattice, layout: MuscleLayout, world: World | None = No
     )
 
 
-def _laid_down(rods: Sequence[Rod]) -> list[Rod]:
-    """Turn rods about y, from +z to +x, and lift them until the lowest surface touches z = 0."""
+def _ball(lattice: Lattice, world: World) -> Ball | None:
+    """Ball of a world with a bolus, on the axis of the upright lattice."""
+    bolus, medium, design = world.bolus, world.medium, lattice.design
+    if bolus is None:
+        return None
+    if bolus.level > design.n_segment:
+        raise ValueError(f"Bolus.level = {bolus.level!r}: must not be above the top level, {design.n_segment}")
+    volume = 4.0 / 3.0 * math.pi * bolus.radius**3
+    weight = 0.0 if medium is None else (bolus.density - medium.density) * volume * medium.gravity
+    return Ball(
+        position=np.array([0.0, 0.0, bolus.level * design.height / design.n_segment]),
+        radius=bolus.radius,
+        mass=bolus.density * volume,
+        stiffness=bolus.stiffness,
+        damping=bolus.damping,
+        friction=bolus.friction,
+        slip_speed=bolus.slip_speed,
+        force=(0.0, 0.0, -weight),
+    )
+
+
+def _laid_down(rods: Sequence[Rod], ball: Ball | None) -> tuple[list[Rod], Ball | None]:
+    """Turn rods and ball about y, from +z to +x, and lift them until the rods' lowest surface touches z = 0."""
     turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-    lift = -min(float((rod.position @ turn[:, 2] - _node_radius(rod)).min()) for rod in rods)
-    return [
-        replace(rod, position=rod.position @ turn + [0.0, 0.0, lift], directors=rod.directors @ turn) for rod in rods
-    ]
+    shift = np.array([0.0, 0.0, -min(float((rod.position @ turn[:, 2] - _node_radius(rod)).min()) for rod in rods)])
+    laid = [replace(rod, position=rod.position @ turn + shift, directors=rod.directors @ turn) for rod in rods]
+    return laid, None if ball is None else replace(ball, position=ball.position @ turn + shift)
 
 
 def _shear_modulus(youngs_modulus: float, poisson_ratio: float) -> float:

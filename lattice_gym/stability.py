@@ -7,9 +7,10 @@ velocity before the kick, that is (dt^2 K + 2 dt C) y = 2 M (1/b + a) y. All mat
 eigenvalue decides for the whole assembly. It is found by Lanczos' iteration. A ground adds its spring and its dashpot
 to K and C as if it bore every node; its friction takes from velocities and weights are constant, which matters not.
 
-Left out is what forces around rest do not show: kinks of a right angle between elements and, with the "pyelastica"
-splitting, elements that spin about their rod. That step takes the gyroscopic term from before the kick, which feeds the
-spin of slender, hardly damped elements on a coarse mesh: such a worm may be stable only well below the prediction.
+Left out is what forces around rest do not show: kinks of a right angle between elements, the friction of a ball, which
+its law bounds, and, with the "pyelastica" splitting, elements that spin about their rod. That step takes the gyroscopic
+term from before the kick, which feeds the spin of slender, hardly damped elements on a coarse mesh: such a worm may be
+stable only well below the prediction.
 """
 
 from __future__ import annotations
@@ -201,6 +202,11 @@ class _Linear:
             self.ties.append(_Floor(model.ground.stiffness))
             if model.ground.damping > 0.0:
                 self.dashpots.append(_Floor(model.ground.damping))
+        ball = model.bolus
+        self.contact = (0.0, 0.0) if ball is None else (ball.stiffness, ball.damping)
+        touching = np.full(model.n_node, 2.0)
+        touching[model.node_offset[:-1]] = touching[model.node_offset[1:] - 1] = 1.0
+        self.touching = touching
 
         self.n_node, self.n_elem = model.n_node, model.n_elem
         damping = np.repeat([rod.rotational_damping for rod in rods], n_elem)
@@ -208,13 +214,16 @@ class _Linear:
         spin_mass = ((inertia / e)[:, None] * [1.0, 1.0, 2.0]).ravel()
         self.mass = np.concatenate([mass, spin_mass])
         self.rate = np.concatenate([np.repeat(model.node_damping, 3) / mass, np.repeat(damping, 3) / spin_mass])
+        if ball is not None:
+            self.mass = np.append(self.mass, np.full(3, ball.mass))
+            self.rate = np.append(self.rate, np.zeros(3))
         free_node, free_element = np.ones((model.n_node, 3)), np.ones((model.n_elem, 3))
         for clamp in model.clamps:
             if clamp.node is not None:
                 free_node[model.node_offset[clamp.rod] + clamp.node] = 0.0
             if clamp.element is not None:
                 free_element[model.element_offset[clamp.rod] + clamp.element] = 0.0
-        self.free = np.concatenate([free_node.ravel(), free_element.ravel()])
+        self.free = np.concatenate([free_node.ravel(), free_element.ravel(), np.ones(3 * model.n_bolus)])
 
     def largest_dt(self, splitting: Splitting | None) -> float:
         """Largest stable step [s]; without dampers (but with dashpots) where splitting is None.
@@ -225,10 +234,11 @@ class _Linear:
         spring = self._largest(self.mass, 1.0, 0.0)
         if spring == 0.0:
             return math.inf
-        dashpot = self._largest(self.mass, 0.0, 1.0) if self.dashpots else 0.0
+        lagging = bool(self.dashpots) or self.contact[1] > 0.0
+        dashpot = self._largest(self.mass, 0.0, 1.0) if lagging else 0.0
         # An oscillator with a lagged dashpot is stable while spring dt^2 + 2 dashpot dt <= 4.
         dt = 4.0 / (math.sqrt(dashpot**2 + 4.0 * spring) + dashpot)
-        if not self.dashpots and (splitting is None or not self.rate.any()):
+        if not lagging and (splitting is None or not self.rate.any()):
             return dt
         for _ in range(_MAX_ROUNDS):
             square = self._largest(self._effective_mass(dt, splitting), 1.0, 2.0 / dt)
@@ -263,16 +273,20 @@ class _Linear:
         return _largest_eigenvalue(apply, scale.size)
 
     def dash(self, x: FloatArray) -> FloatArray:
-        """Return the force of all dashpots against velocities x, shape (3 n_node + 3 n_elem,)."""
-        against = np.zeros_like(x)
+        """Return the force of all dashpots against velocities x, shape as for `stiff`."""
+        against = self._ball_force(x, self.contact[1])
         shift = x[: 3 * self.n_node].reshape(-1, 3)
         for dashpots in self.dashpots:
             against[: 3 * self.n_node] += dashpots(shift).ravel()
         return against
 
     def stiff(self, x: FloatArray) -> FloatArray:
-        """Return the forces and couples against displacements and turns x, shape (3 n_node + 3 n_elem,)."""
-        shift, turn = x[: 3 * self.n_node].reshape(-1, 3), x[3 * self.n_node :].reshape(-1, 3)
+        """Return the forces and couples against displacements and turns x.
+
+        Shape (3 n_node + 3 n_elem + 3 n_bolus,): nodes, elements, ball.
+        """
+        n_node, n_rod = 3 * self.n_node, 3 * (self.n_node + self.n_elem)
+        shift, turn = x[:n_node].reshape(-1, 3), x[n_node:n_rod].reshape(-1, 3)
         side = np.einsum("nij,nj->ni", self.frame, shift[self.low + 1] - shift[self.low])
         pull = self.stretch * side
         pull[:, 0] -= self.couple_across * turn[:, 1]
@@ -288,7 +302,23 @@ class _Linear:
         force = sum((ties(shift) for ties in self.ties), np.zeros_like(shift))
         force[self.low] -= pull
         force[self.low + 1] += pull
-        return np.concatenate([force.ravel(), couple.ravel()])
+        against = self._ball_force(x, self.contact[0])
+        against[:n_rod] += np.concatenate([force.ravel(), couple.ravel()])
+        return against
+
+    def _ball_force(self, x: FloatArray, contact: float) -> FloatArray:
+        """Force against x of a spring (dashpot) between the ball and either end of every element; 0 without a ball.
+
+        What it touches changes. By the lever rule a contact bears no more than two springs of its stiffness, one at
+        either end of the element, whatever the normal; and what it touches bears no more than all that it may touch.
+        """
+        against = np.zeros_like(x)
+        if contact > 0.0:
+            n_node = 3 * self.n_node
+            pull = contact * self.touching[:, None] * (x[:n_node].reshape(-1, 3) - x[-3:])
+            against[:n_node] = pull.ravel()
+            against[-3:] = -pull.sum(axis=0)
+        return against
 
 
 def _largest_eigenvalue(apply: Callable[[FloatArray], FloatArray], size: int) -> float:

@@ -609,7 +609,7 @@ def test_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
     again = pickle.loads(pickle.dumps(env)).render()
     np.testing.assert_allclose(again.astype(float), second.astype(float), atol=2.0)
     drawn: list[str] = []
-    monkeypatch.setattr(env._renderer, "update", lambda *arguments: drawn.append(arguments[-1]))
+    monkeypatch.setattr(env._renderer, "update", lambda *arguments: drawn.append(arguments[3]))
     env.render()
     assert drawn == [env.task.caption(env.state.position)]
     assert drawn[0].startswith("strain +")

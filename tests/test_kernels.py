@@ -15,6 +15,7 @@ def test_no_index_leaves_its_array(tmp_path: Path) -> None:
         "test_engines_agree_on_any_assembly",
         "test_each_failure_is_named",
         "test_large_rotations_are_exact",
+        "test_momentum",
     ]
     command = [
         sys.executable,
@@ -26,6 +27,7 @@ def test_no_index_leaves_its_array(tmp_path: Path) -> None:
         "-p",
         "no:xdist",
         "tests/test_engines.py",
+        "tests/test_bolus.py",
     ]
     # A cache of its own: code with bounds checks must not be taken for the fast code, nor the other way round.
     environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}

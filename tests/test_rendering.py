@@ -39,6 +39,7 @@ from lattice_gym.rendering import (
 )
 from lattice_gym.rendering.extras import extra
 from lattice_gym.trajectory import Recorder, Trajectory
+from lattice_gym.world import Bolus, World
 
 imageio_ffmpeg = extra("imageio_ffmpeg")
 SIZE = (160, 120)
@@ -213,6 +214,23 @@ def test_free_worm_has_no_plate() -> None:
             rows, columns = np.nonzero(drawn(renderer.update(rest_of(model))))
         counts.append(np.ptp(columns[rows > 90]) / np.ptp(columns[rows < 60]))
     assert counts[0] > 1.2 > counts[1]
+
+
+def test_ball_is_where_it_is_said_to_be(lattice: Lattice, model: RodModel) -> None:
+    """By default where it starts; nowhere without one, and then a place for it is refused."""
+    ball = build_model(lattice, named_layout("all", lattice), World(bolus=Bolus(level=2.0)))
+    x, start = rest_of(model), ball.rest_state().bolus_position
+    blue = []
+    for centre in (None, start, start + np.array([0.0, 0.0, 0.04])):
+        picture = render_frame(lattice, ball, x, size=SIZE, bolus=centre).astype(int)
+        blue.append(picture[..., 2] - picture[..., 0] > 25)
+    assert blue[0].any()
+    assert np.array_equal(blue[0], blue[1])
+    rows = [np.flatnonzero(mask.any(axis=1)).mean() for mask in blue]
+    assert rows[2] < rows[0] - 5.0
+    for wrong, centre in ((model, start), (ball, start[0]), (ball, np.full((1, 3), np.nan))):
+        with pytest.raises(ValueError, match="bolus"):
+            render_frame(lattice, wrong, x, size=SIZE, bolus=centre)
 
 
 def test_wrong_arguments_are_refused(lattice: Lattice, model: RodModel) -> None:

@@ -116,6 +116,7 @@ class FusedEngine(Engine):
         self._ground = self._pack_ground()
         self._couples = self._pack_torques()
         self._spin_damping = 1.0 if any(rod.rotational_damping > 0.0 for rod in model.rods) else None
+        self._ball = self._pack_ball()
         self._account = self._open_account() if energy_check else None
         self._time = 0.0
 
@@ -211,6 +212,19 @@ class FusedEngine(Engine):
         friction = ground.static_friction, ground.kinetic_friction
         return kernels.Ground(ground.stiffness, ground.damping, *friction, along, against, across)
 
+    def _pack_ball(self) -> kernels.Ball | None:
+        ball = self.model.bolus
+        if ball is None:
+            return None
+        reach = np.zeros((self._place.n_cell, kernels.LANES))
+        reach[self._element_cell, self._element_lane] = ball.radius + self.model.element_radius
+        return kernels.Ball(
+            place=ball.position.copy(), speed=np.zeros(3), spin=np.zeros(3), force=np.array(ball.force),
+            load=np.zeros(7), reach=reach, touching=np.zeros(self._place.n_cell, np.int64),
+            kick=self.dt / ball.mass, spin_kick=self.dt / ball.inertia,
+            stiffness=ball.stiffness, damping=ball.damping, friction=ball.friction, slip_speed=ball.slip_speed,
+        )  # fmt: skip
+
     def _pack_torques(self) -> float | None:
         for load in self.model.torques:
             cell, lane = self._place.cell(load.rod, load.element), self._place.rod_lane[load.rod]
@@ -220,12 +234,16 @@ class FusedEngine(Engine):
     @property
     def state(self) -> RodState:
         """A copy of the state."""
-        cells, n_elem = self._cells, self.model.n_elem
+        cells, n_elem, ball = self._cells, self.model.n_elem, self._ball
+        moving = np.zeros((3, 0, 3)) if ball is None else np.stack([ball.place, ball.speed, ball.spin])[:, None]
         return RodState(
             position=cells["x"][self._node_cell, :, self._node_lane],
             velocity=cells["v"][self._node_cell, :, self._node_lane],
             directors=cells["q"][self._element_cell, :, self._element_lane].reshape(n_elem, 3, 3),
             omega=cells["w"][self._element_cell, :, self._element_lane],
+            bolus_position=moving[0],
+            bolus_velocity=moving[1],
+            bolus_omega=moving[2],
             time=self._time,
         )
 
@@ -235,6 +253,9 @@ class FusedEngine(Engine):
         cells["v"][self._node_cell, :, self._node_lane] = state.velocity
         cells["q"][self._element_cell, :, self._element_lane] = state.directors.reshape(-1, 9)
         cells["w"][self._element_cell, :, self._element_lane] = state.omega
+        if self._ball is not None:
+            self._ball.place[:], self._ball.speed[:] = state.bolus_position[0], state.bolus_velocity[0]
+            self._ball.spin[:] = state.bolus_omega[0]
         self._time = state.time
 
     def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:
@@ -258,6 +279,7 @@ class FusedEngine(Engine):
             self._couples,
             self._spin_damping,
             self._symmetric,
+            self._ball,
             self._account,
             n_substeps,
             self.dt,
@@ -284,7 +306,9 @@ class FusedEngine(Engine):
             self._lines,
         )
         if code == Status.OK:
-            return Health()
+            ball = self._ball
+            lost = ball is not None and not np.isfinite([ball.place, ball.speed, ball.spin]).all()
+            return Health(Status.NON_FINITE if lost else Status.OK)
         if code == Status.TORN:
             return torn(self.model, found)
         if found >= self.model.n_elem:

@@ -7,9 +7,10 @@ structured dtype has a compile-time offset, so LLVM proves that fields do not al
 
 The equations are those of Gazzola et al. 2018 (R. Soc. Open Sci. 5:171628) as PyElastica 1.0.0 discretises them:
 circular sections (so J3 = 2 J1), linear elasticity, volume-preserving stretch. Within a step, in this order: weights
-and point forces (what a force starts from), joints, lines, internal forces and muscle tension, the ground's normal
-force, kick, friction, drift; damping goes along with the kick or comes after it, see `engines.Splitting`. The half
-drift that ends a step and the one that begins the next are one full drift; the first and the last of a call are halves.
+and point forces (what a force starts from), joints, lines, the ball, internal forces and muscle tension, the ground's
+normal force, kick, friction, drift; damping goes along with the kick or comes after it, see `engines.Splitting`. The
+half drift that ends a step and the one that begins the next are one full drift; the first and the last of a call are
+halves.
 
 All of this stands in one file because numba's cache looks at one file only: a helper elsewhere could be edited
 and the old machine code would run on.
@@ -86,6 +87,30 @@ class Ground(NamedTuple):
     across: float
 
 
+class Ball(NamedTuple):
+    """The rigid ball: position [m], velocity [m/s], angular velocity [rad/s] and constant force [N], shape (3,) each.
+
+    `load` is work space of shape (7,): force [N] and torque [N m] of the contacts, and the power they dissipate [W].
+    `reach` has the radii of ball and element together, by record and lane [m], shape (n_cell, LANES), 0 where there is
+    nothing to touch; `touching` counts the elements of a record that it overlaps, shape (n_cell,). A unit of force adds
+    `kick` to its velocity in a step, a unit of torque `spin_kick` to its spin.
+    """
+
+    place: npt.NDArray[np.float64]
+    speed: npt.NDArray[np.float64]
+    spin: npt.NDArray[np.float64]
+    force: npt.NDArray[np.float64]
+    load: npt.NDArray[np.float64]
+    reach: npt.NDArray[np.float64]
+    touching: npt.NDArray[np.int64]
+    kick: float
+    spin_kick: float
+    stiffness: float
+    damping: float
+    friction: float
+    slip_speed: float
+
+
 class Account(NamedTuple):
     """Energy that enters and leaves, added up step by step for whoever asks; see `_account`.
 
@@ -126,6 +151,9 @@ _LARGE_Y = 0.09
 # sin(t)/t and (1 - cos t)/t^2 as series in t^2: eight terms are exact to rounding for t^2 < 0.25.
 _LARGE_T2 = 0.25
 _LARGE_DECAY = 0.25
+# The friction of all contacts together takes at most one over this of a slip within a step.
+_GRIP = 2.0
+_LEAST_SQUARE = 1e-300
 # Spin damped to less than this share within a step is too slow to count; the bound keeps 1 / keep^4 finite.
 _LEAST_KEEP = 1e-70
 
@@ -503,6 +531,109 @@ def _apply_lines(cells: Cells, lines: Lines) -> None:
 
 
 @compiled
+def _touch_all(cells: Cells, passive: npt.NDArray[np.int64], active: npt.NDArray[np.int64], ball: Ball) -> None:
+    """Let the ball and every element of every block push at each other where they overlap."""
+    ball.load[:] = 0.0
+    n_touching = 0
+    for blocks in (passive, active):
+        for b in range(blocks.shape[0]):
+            for e in range(blocks[b, 0], blocks[b, 1] - 1):
+                ball.touching[e] = _count(cells[e : e + 2], ball.reach[e], ball)
+                n_touching += ball.touching[e]
+    if n_touching > 0:
+        for e in range(cells.shape[0] - 1):
+            if ball.touching[e] > 0:
+                _touch(cells[e : e + 2], ball.reach[e], ball, n_touching)
+
+
+@compiled
+def _count(pair: Cells, reach: npt.NDArray[np.float64], ball: Ball) -> int:
+    """Count the lanes in which the ball overlaps element e."""
+    x0, x1 = pair[0].x, pair[1].x
+    c0, c1, c2 = ball.place[0], ball.place[1], ball.place[2]
+    n_touching = 0
+    for j in range(LANES):
+        dx, dy, dz = x1[0, j] - x0[0, j], x1[1, j] - x0[1, j], x1[2, j] - x0[2, j]
+        gx, gy, gz = c0 - x0[0, j], c1 - x0[1, j], c2 - x0[2, j]
+        far = (gx * dx + gy * dy + gz * dz) / (dx * dx + dy * dy + dz * dz)
+        far = min(max(far, 0.0), 1.0)
+        gx, gy, gz = gx - far * dx, gy - far * dy, gz - far * dz
+        n_touching += 1 if gx * gx + gy * gy + gz * gz < reach[j] * reach[j] else 0
+    return n_touching
+
+
+@compiled
+def _touch(pair: Cells, reach: npt.NDArray[np.float64], ball: Ball, n_touching: int) -> None:
+    """Push and drag of the ball on element e, as `model.Ball` has it: add it to both nodes and to the ball's load.
+
+    `give` is what a unit of force at all contacts may change a slip in a step: a node has two elements, the ball
+    `n_touching`. Forces on the centre line and their moments on the ball leave momentum and angular momentum alone.
+    """
+    here, there = pair[0], pair[1]
+    x0, x1, v0, v1, f0, f1 = here.x, there.x, here.v, there.v, here.force, there.force
+    push0, push1 = here.push, there.push
+    c0, c1, c2 = ball.place[0], ball.place[1], ball.place[2]
+    b0, b1, b2 = ball.speed[0], ball.speed[1], ball.speed[2]
+    w0, w1, w2 = ball.spin[0], ball.spin[1], ball.spin[2]
+    stiffness, damping, friction, slip_speed = ball.stiffness, ball.damping, ball.friction, ball.slip_speed
+    kick, spin_kick = n_touching * ball.kick, n_touching * ball.spin_kick
+    sum0, sum1, sum2, turn0, turn1, turn2, lost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(LANES):
+        dx, dy, dz = x1[0, j] - x0[0, j], x1[1, j] - x0[1, j], x1[2, j] - x0[2, j]
+        gx, gy, gz = c0 - x0[0, j], c1 - x0[1, j], c2 - x0[2, j]
+        far = (gx * dx + gy * dy + gz * dz) / (dx * dx + dy * dy + dz * dz)
+        far = min(max(far, 0.0), 1.0)
+        near = 1.0 - far
+        gx, gy, gz = gx - far * dx, gy - far * dy, gz - far * dz
+        square = gx * gx + gy * gy + gz * gz
+        inverse = 1.0 / np.sqrt(max(square, _LEAST_SQUARE))
+        nx, ny, nz = gx * inverse, gy * inverse, gz * inverse
+        depth = reach[j] - square * inverse
+        ux = b0 - (w1 * gz - w2 * gy) - (near * v0[0, j] + far * v1[0, j])
+        uy = b1 - (w2 * gx - w0 * gz) - (near * v0[1, j] + far * v1[1, j])
+        uz = b2 - (w0 * gy - w1 * gx) - (near * v0[2, j] + far * v1[2, j])
+        rate = ux * nx + uy * ny + uz * nz
+        ux, uy, uz = ux - rate * nx, uy - rate * ny, uz - rate * nz
+        slip = ux * ux + uy * uy + uz * uz
+        spring = stiffness * depth if depth > 0.0 else 0.0
+        normal = max(spring - damping * rate, 0.0) if depth > 0.0 else 0.0
+        give = 2.0 * (push0[j] * near * near + push1[j] * far * far) + kick + spin_kick * square
+        most = friction * normal
+        drag = most / max(max(np.sqrt(slip), slip_speed), _GRIP * most * give)
+        fx, fy, fz = normal * nx - drag * ux, normal * ny - drag * uy, normal * nz - drag * uz
+        f0[0, j] -= near * fx
+        f0[1, j] -= near * fy
+        f0[2, j] -= near * fz
+        f1[0, j] -= far * fx
+        f1[1, j] -= far * fy
+        f1[2, j] -= far * fz
+        sum0 += fx
+        sum1 += fy
+        sum2 += fz
+        turn0 -= gy * fz - gz * fy
+        turn1 -= gz * fx - gx * fz
+        turn2 -= gx * fy - gy * fx
+        lost += (spring - normal) * rate + drag * slip
+    load = ball.load
+    load[0] += sum0
+    load[1] += sum1
+    load[2] += sum2
+    load[3] += turn0
+    load[4] += turn1
+    load[5] += turn2
+    load[6] += lost
+
+
+@compiled
+def _move_ball(ball: Ball, drift: float) -> None:
+    """Kick and drift the ball; its spin needs no frame, for it is the same about every axis."""
+    for i in range(3):
+        ball.speed[i] += ball.kick * (ball.load[i] + ball.force[i])
+        ball.spin[i] += ball.spin_kick * ball.load[3 + i]
+        ball.place[i] += drift * ball.speed[i]
+
+
+@compiled
 def advance(
     cells: Cells,
     passive: npt.NDArray[np.int64],
@@ -515,6 +646,7 @@ def advance(
     couples: float | None,
     spin_damping: float | None,
     symmetric: float | None,
+    ball: Ball | None,
     account: Account | None,
     n_steps: int,
     dt: float,
@@ -529,6 +661,9 @@ def advance(
             _line_work(cells, lines, account, 0.0)
     _half_drift(cells, passive, 0.5 * dt)
     _half_drift(cells, active, 0.5 * dt)
+    if ball is not None:
+        for i in range(3):
+            ball.place[i] += 0.5 * dt * ball.speed[i]
     for step in range(n_steps):
         drift = dt if step < n_steps - 1 else 0.5 * dt
         _apply_joints(cells, joints, joint_damping)
@@ -536,6 +671,11 @@ def advance(
             _apply_lines(cells, lines)
             if account is not None:
                 _line_work(cells, lines, account, 1.25 if step == 0 else 1.5)
+        if ball is not None:
+            _touch_all(cells, passive, active, ball)
+            _move_ball(ball, drift)
+            if account is not None:
+                account.total[2] += dt * ball.load[6]
         _step_blocks(cells, passive, dt, drift, None, couples, spin_damping, symmetric, loads, ground, account)
         _step_blocks(cells, active, dt, drift, 1.0, couples, spin_damping, symmetric, loads, ground, account)
         if account is not None:

@@ -21,6 +21,7 @@ from elastica.modules.connections import Connections
 from elastica.modules.constraints import Constraints
 from elastica.modules.damping import Damping
 from elastica.modules.forcing import Forcing
+from elastica.rigidbody.sphere import Sphere
 from elastica.rod.cosserat_rod import CosseratRod
 from elastica.timestepper.symplectic_steppers import PositionVerlet
 from elastica.typing import ConnectionIndex, RigidBodyType, RodType
@@ -28,12 +29,16 @@ from elastica.typing import ConnectionIndex, RigidBodyType, RodType
 from lattice_gym.design import FloatArray
 from lattice_gym.energy import Flow
 from lattice_gym.engines import MAX_DILATATION, MIN_DILATATION, Engine, Health, Status, joint_reach, overstretched, torn
-from lattice_gym.model import Rod, RodModel, RodState
+from lattice_gym.model import Ball, Rod, RodModel, RodState
 from lattice_gym.world import Ground
 
 _START = np.float64(0.0)
 _LARGEST_RATE = 300.0
 """Damping this large leaves no speed worth counting; without the bound what it left would overflow."""
+
+
+_GRIP = 2.0
+"""The friction of all contacts together takes at most one over this of a slip within a step."""
 
 
 class _Assembly(BaseSystemCollection, Constraints, Connections, Forcing, Damping):
@@ -118,6 +123,68 @@ class _PointLoads(NoForces[CosseratRod]):
         system.external_torques += self.torques
 
 
+class _BallContact(NoForces[Sphere]):
+    """Constant force on the ball, and its contact with every rod, as `model.Ball` has it.
+
+    PyElastica's RodSphereContact takes the middles of elements for their starts, half an element off, and its friction
+    turns no ball. All rods are here at once, for the bound on friction asks how many elements the ball overlaps.
+    `node_push`, shape (n_node,), and `push`, two numbers, are what a unit of force (torque) adds to a velocity (spin)
+    in a step. `lost` gathers the power dissipated [W], shape (1,).
+    """
+
+    def __init__(
+        self,
+        model: RodModel,
+        ball: Ball,
+        rods: list[CosseratRod],
+        node_push: FloatArray,
+        push: tuple[float, float],
+        lost: FloatArray,
+    ) -> None:
+        super().__init__()
+        self.ball, self.rods, self.node_push, self.push, self.lost = ball, rods, node_push, push, lost
+        self.reach = ball.radius + np.concatenate([rod.radius for rod in model.rods])
+        self.rows = [model.nodes(index) for index in range(model.n_rod)]
+        self.first = np.delete(np.arange(model.n_node), model.node_offset[1:] - 1)
+
+    def apply_forces(self, system: Sphere, time: np.float64 = _START) -> None:
+        ball = self.ball
+        system.external_forces[:, 0] += ball.force
+        place = np.concatenate([rod.position_collection for rod in self.rods], axis=1)
+        start, side = place[:, self.first], place[:, self.first + 1] - place[:, self.first]
+        gap = system.position_collection - start
+        far = np.clip(np.sum(gap * side, axis=0) / np.sum(side * side, axis=0), 0.0, 1.0)
+        gap = gap - far * side
+        hit = np.flatnonzero(np.linalg.norm(gap, axis=0) < self.reach)
+        if hit.size == 0:
+            return
+        a, b, far, gap = self.first[hit], self.first[hit] + 1, far[hit], gap[:, hit]
+        near, distance = 1.0 - far, np.linalg.norm(gap, axis=0)
+        normal = gap / np.where(distance > 0.0, distance, 1.0)
+        speed = np.concatenate([rod.velocity_collection for rod in self.rods], axis=1)
+        frame = system.director_collection[..., 0]
+        spin = frame.T @ system.omega_collection[:, 0]
+        slip = system.velocity_collection - np.cross(spin, gap.T).T - near * speed[:, a] - far * speed[:, b]
+        rate = np.sum(slip * normal, axis=0)
+        slip = slip - rate * normal
+        spring = ball.stiffness * (self.reach[hit] - distance)
+        push = np.maximum(spring - ball.damping * rate, 0.0)
+        give = 2.0 * (near**2 * self.node_push[a] + far**2 * self.node_push[b])
+        give = give + hit.size * (self.push[0] + self.push[1] * distance**2)
+        slip_speed = np.linalg.norm(slip, axis=0)
+        drag = ball.friction * push
+        drag = drag / np.maximum(np.maximum(slip_speed, ball.slip_speed), _GRIP * drag * give)
+        force = push * normal - drag * slip
+        system.external_forces[:, 0] += force.sum(axis=1)
+        system.external_torques[:, 0] -= frame @ np.cross(gap.T, force.T).sum(axis=0)
+        on_node = np.zeros((place.shape[1], 3))
+        np.subtract.at(on_node, a, (near * force).T)
+        np.subtract.at(on_node, b, (far * force).T)
+        for rod, rows in zip(self.rods, self.rows, strict=True):
+            rod.external_forces += on_node[rows].T
+        self.lost += float(np.sum((spring - push) * rate + drag * slip_speed**2))
+
+
 @dataclass(frozen=True, eq=False)
 class _Footing:
     """What the ground does to the nodes of one rod in a step: written by its two parts, one before and one after.
@@ -199,6 +266,8 @@ class PyElasticaEngine(Engine):
         for index, rod in enumerate(self._rods):
             rod.mass[:] = model.node_mass[model.nodes(index)]
         self._tension = np.zeros((model.n_muscle, 1))
+        self._contact_loss = np.zeros(1)
+        self._ball: Sphere | None = None
         self._footing: list[_Footing] = []
         self._stepper = PositionVerlet()
         self._simulator = self._assemble()
@@ -224,6 +293,8 @@ class PyElasticaEngine(Engine):
         if model.gravity is not None:
             for made in rods:
                 simulator.add_forcing_to(made).using(GravityForces, acc_gravity=model.gravity)
+        if model.bolus is not None:
+            self._add_ball(simulator, model.bolus)
         nodes, elements = defaultdict(list), defaultdict(list)
         for clamp in model.clamps:
             if clamp.node is not None:
@@ -244,6 +315,20 @@ class PyElasticaEngine(Engine):
             self._lay_ground(simulator, model.ground)
         simulator.finalize()
         return simulator
+
+    def _add_ball(self, simulator: _Assembly, ball: Ball) -> None:
+        """Add the ball, its force, and its contact with every rod; clamped nodes give way to no force."""
+        self._ball = Sphere(ball.position.copy(), ball.radius, ball.mass / (4.0 / 3.0 * np.pi * ball.radius**3))
+        simulator.append(self._ball)
+        model = self.model
+        push = self.dt / model.node_mass * np.exp(-model.node_damping / model.node_mass * self.dt)
+        for clamp in model.clamps:
+            if clamp.node is not None:
+                push[model.nodes(clamp.rod)][clamp.node] = 0.0
+        ball_push = self.dt / ball.mass, self.dt / ball.inertia
+        simulator.add_forcing_to(self._ball).using(
+            _BallContact, model, ball, self._rods, push, ball_push, self._contact_loss
+        )
 
     def _lay_ground(self, simulator: _Assembly, ground: Ground) -> None:
         for index, rod in enumerate(self._rods):
@@ -281,8 +366,19 @@ class PyElasticaEngine(Engine):
             velocity=np.concatenate([rod.velocity_collection.T for rod in self._rods]),
             directors=np.concatenate([np.moveaxis(rod.director_collection, -1, 0) for rod in self._rods]),
             omega=np.concatenate([rod.omega_collection.T for rod in self._rods]),
+            **self._ball_state(),
             time=self._time,
         )
+
+    def _ball_state(self) -> dict[str, FloatArray]:
+        """Fields of a state that are the ball's."""
+        ball = self._ball
+        if ball is None:
+            return {}
+        moving = (ball.position_collection, ball.velocity_collection, ball.omega_collection)
+        return {
+            f"bolus_{name}": of.T.copy() for name, of in zip(("position", "velocity", "omega"), moving, strict=True)
+        }
 
     def _restore(self, state: RodState) -> None:
         for index, rod in enumerate(self._rods):
@@ -297,6 +393,17 @@ class PyElasticaEngine(Engine):
                 rod.alpha_collection,
                 rod.external_forces,
                 rod.external_torques,
+            ):
+                left_over[:] = 0.0
+        if (ball := self._ball) is not None:
+            ball.position_collection[:] = state.bolus_position.T
+            ball.velocity_collection[:] = state.bolus_velocity.T
+            ball.omega_collection[:] = state.bolus_omega.T
+            for left_over in (
+                ball.acceleration_collection,
+                ball.alpha_collection,
+                ball.external_forces,
+                ball.external_torques,
             ):
                 left_over[:] = 0.0
         self._time = state.time
@@ -315,7 +422,15 @@ class PyElasticaEngine(Engine):
                     self._gone += np.array(
                         [work, self._torque_work(state), self._loss(state) + self._ground_loss(state)]
                     )
+                if self._ball is not None:
+                    self._square_ball(self._ball)
         return self._health()
+
+    def _square_ball(self, ball: Sphere) -> None:
+        """Turn the ball's frame back to the laboratory's: how it lies makes no difference, and no state holds it."""
+        frame = ball.director_collection[..., 0]
+        ball.omega_collection[:, 0] = frame.T @ ball.omega_collection[:, 0]
+        ball.director_collection[..., 0] = np.eye(3)
 
     def _flow(self) -> Flow:
         flow = Flow(*self._gone.tolist())
@@ -350,7 +465,8 @@ class PyElasticaEngine(Engine):
         A kick by the force f, then a velocity scaled by D: f u_mean dt, with u_mean the mean of the velocities before
         and after the step, goes into kinetic energy but for m / 2 (1/D - 1) (u' + u) u'.
         """
-        lost = 0.0
+        lost = self.dt * float(self._contact_loss[0])
+        self._contact_loss[:] = 0.0
         for index, (rod, made) in enumerate(zip(self.model.rods, self._rods, strict=True)):
             nodes = self.model.nodes(index)
             mass, damping = self.model.node_mass[nodes], self.model.node_damping[nodes]
@@ -406,4 +522,5 @@ class PyElasticaEngine(Engine):
         for k, (line, length) in enumerate(zip(self.model.lines, lengths, strict=True)):
             if not MIN_DILATATION <= length / line.rest_length <= MAX_DILATATION:
                 return overstretched(self.model, k)
-        return Health()
+        lost = any(not np.isfinite(value).all() for value in self._ball_state().values())
+        return Health(Status.NON_FINITE if lost else Status.OK)

@@ -28,6 +28,8 @@ RGB = npt.NDArray[np.uint8]
 ROD_SCALE, MUSCLE_SCALE, SITE_SCALE = 0.42, 0.56, 0.56
 # Pieces that each is drawn in at least, and the share of its radius that a muscle loses towards its ends.
 ROD_PIECES, MUSCLE_PIECES, TAPER = 32, 8, 0.45
+# Corners around a bolus.
+BOLUS_CORNERS = 48
 # Elements that a muscle without nodes is drawn with.
 LINE_ELEMENTS = 2
 # What lies furthest back is paled by this share, as by haze.
@@ -158,6 +160,7 @@ class Renderer:
         self._balls = Balls(lattice.n_site, SITE_SCALE * lattice.design.structure_radius)
         self._muscles = Tubes(model, model.muscles, MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if muscles else None
         self._lines = Tubes(lines, range(lines.n_rod), MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if lines else None
+        self._bolus = Balls(1, model.bolus.radius, BOLUS_CORNERS) if model.bolus else None
         self._site_nodes = lattice.site_rod * lattice.n_node + lattice.site_node
         for part in self._parts():
             actor = self._plotter.add_mesh(part.mesh, scalars="colour", rgb=True, smooth_shading=False, **MATERIAL)
@@ -182,17 +185,21 @@ class Renderer:
         activation: npt.ArrayLike | None = None,
         time: float | None = None,
         text: str = "",
+        bolus: npt.ArrayLike | None = None,
     ) -> RGB:
         """Picture, shape (height, width, 3).
 
-        Takes node positions (n_node, 3) [m], activations (n_muscle,) from 0 (the default) to 1, a time [s] and a line
-        of text to print. Wrong shapes and numbers that are not finite are a ValueError.
+        Takes node positions (n_node, 3) [m], activations (n_muscle,) from 0 (the default) to 1, a time [s], a line of
+        text to print and the place of the ball (n_bolus, 3) [m], by default where it starts. Wrong shapes and numbers
+        that are not finite are a ValueError.
         """
         x = checked("position", position, (self._model.n_node, 3))
         n_muscle = self._model.n_muscle
         a = np.zeros(n_muscle) if activation is None else checked("activation", activation, (n_muscle,))
         if n_muscle and np.max(np.abs(a - 0.5)) > 0.5 + ACTIVATION_TOLERANCE:
             raise ValueError(f"activation spans {a.min():g} to {a.max():g}: must lie in [0, 1]")
+        centre = self._model.rest_state().bolus_position if bolus is None else bolus
+        centre = checked("bolus", centre, (self._model.n_bolus, 3))
         self._rods.update(x)
         self._paint(self._rods.mesh, rgb(colours.ROD))
         self._balls.update(x[self._site_nodes].mean(axis=1))
@@ -203,6 +210,9 @@ class Renderer:
         if self._lines:
             self._lines.update(_line_nodes(self._model, x))
             self._paint(self._lines.mesh, activation_colour(a[len(self._model.muscles) :]))
+        if self._bolus:
+            self._bolus.update(centre)
+            self._paint(self._bolus.mesh, rgb(colours.BOLUS))
         if not self._bare:
             self._time.input = "" if time is None else f"t = {time:.2f} s"
             # A letter is about half as wide as it is high.
@@ -222,7 +232,7 @@ class Renderer:
         self.close()
 
     def _parts(self) -> list[Tubes | Balls]:
-        return [part for part in (self._rods, self._balls, self._muscles, self._lines) if part]
+        return [part for part in (self._rods, self._balls, self._muscles, self._lines, self._bolus) if part]
 
     def _write(self, text: str, x: float, y: float, size: float, justified: tuple[str, str]) -> Any:
         """Text at a place and of a size in shares of the picture; it may be changed later."""
@@ -307,7 +317,8 @@ def render_frame(
     time: float | None = None,
     text: str = "",
     size: tuple[int, int] = (640, 480),
+    bolus: npt.ArrayLike | None = None,
 ) -> RGB:
     """One picture, as Renderer.update makes it, shape (height, width, 3); for many keep a Renderer."""
     with Renderer(lattice, model, size) as renderer:
-        return renderer.update(position, activation, time, text)
+        return renderer.update(position, activation, time, text, bolus)

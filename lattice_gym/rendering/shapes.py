@@ -105,8 +105,8 @@ def _frames(tangent: FloatArray) -> FloatArray:
 class Balls:
     """One mesh of equal balls, moved in place."""
 
-    def __init__(self, count: int, radius: float) -> None:
-        ball = extra("pyvista").Sphere(radius=1.0, theta_resolution=12, phi_resolution=9)
+    def __init__(self, count: int, radius: float, corners: int = SIDES) -> None:
+        ball = extra("pyvista").Sphere(radius=1.0, theta_resolution=corners, phi_resolution=3 * corners // 4)
         self._unit, self._radius = np.asarray(ball.points, dtype=np.float64), radius
         faces = ball.regular_faces + len(self._unit) * np.arange(count)[:, None, None]
         self.mesh = _mesh(count * len(self._unit), faces.reshape(-1, 3))
