@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 from lattice_gym.fidelity import FidelityName
 
-Task = Literal["extension", "compression", "bending", "peristalsis"]
+Task = Literal["extension", "compression", "bending", "peristalsis", "reach", "crawl", "transport"]
 Control = Literal["muscle", "ring", "column"]
 Engine = Literal["fused", "pyelastica"]
 Observation = Literal["sites", "nodes"]
@@ -47,6 +47,7 @@ _REAL = {
 }
 _WIDTH = "[1, 65536]"
 _SWITCHES = ("anneal", "gsde")
+_SIDEWAYS = ("bending", "reach")  # tasks that muscles alike all around cannot do
 _OPTIONAL = ("control", "rhythm", "time_limit")
 _PLACES = ("design", "muscles", "run_dir", "resume")  # files of this machine, kept out of config.json
 
@@ -80,7 +81,7 @@ class TrainConfig:
     seed: int = 0
     """Seed of the policy, the noise and the worms."""
     control: Control | None = None
-    """What one action drives: a muscle, a level (ring) or a side (column) of them; ring by default, column to bend."""
+    """What one action drives: muscle, level (ring) or side (column); column to bend or reach, else ring."""
     rhythm: float | None = None
     """Frequency of a clock whose sine and cosine join the observation [Hz]; none by default."""
     design: Path | None = None
@@ -152,8 +153,10 @@ class TrainConfig:
             value, whole = getattr(self, name), name in _WHOLE
             if not (value is None and name in _OPTIONAL) and not _is_number(value, interval, whole):
                 raise InputError(f"{name} = {value!r}: must be a {'whole ' if whole else ''}number in {interval}")
-        if self.task == "bending" and self.control == "ring" and not (self.muscles or "").endswith(".json"):
-            raise InputError("control = 'ring': must be column or muscle to bend; rings contract alike all around")
+        if self.task in _SIDEWAYS and self.control == "ring" and not (self.muscles or "").endswith(".json"):
+            raise InputError(
+                "control = 'ring': must be column or muscle to bend or reach; rings contract alike all around"
+            )
         sizes = self.hidden_sizes
         if not isinstance(sizes, tuple) or not sizes or not all(_is_number(n, _WIDTH, True) for n in sizes):
             raise InputError(f"hidden_sizes = {sizes!r}: must be a tuple of whole numbers in {_WIDTH}")
@@ -169,7 +172,7 @@ class TrainConfig:
     @property
     def driven(self) -> Control:
         """What one action drives: as given, or the grouping with which the task can be learned fast."""
-        return self.control or ("column" if self.task == "bending" else "ring")
+        return self.control or ("column" if self.task in _SIDEWAYS else "ring")
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON-safe values, without the places on this machine (design, run_dir, ...)."""

@@ -50,8 +50,10 @@ def outcome_errors(task: str, command: Mapping[str, float], outcome: Mapping[str
 
     bending: bend_deg, and off_azimuth_deg, the angle in [0, 180] between the azimuths of the bend and of the command;
     absent where the worm stands upright. peristalsis: wave_index, and speed and amplitude of the wave over those asked
-    for: 1 is exact, 0 no wave, and a speed below 0 is a wave that runs the wrong way. Other tasks command nothing:
-    their outcome as it is.
+    for: 1 is exact, 0 no wave, and a speed below 0 is a wave that runs the wrong way. reach: distance [m] and reached;
+    reach_time [s] is absent where the target was not. crawl: speed [body heights a minute], drift_deg, and
+    cost_of_transport, absent where there was no way along the command. Other tasks command nothing: their outcome as it
+    is.
     """
     if task == "bending":
         bend = float(np.degrees(outcome["bend_angle"]))
@@ -65,6 +67,11 @@ def outcome_errors(task: str, command: Mapping[str, float], outcome: Mapping[str
             "speed_over_asked": velocity / command["speed"],
             "amplitude_over_asked": outcome["wave_amplitude"] / command["amplitude"],
         }
+    if task == "reach" and not outcome["reached"]:
+        return {name: value for name, value in outcome.items() if name != "reach_time"}
+    if task == "crawl":
+        cost = {name: value for name, value in outcome.items() if name == "cost_of_transport" and value > 0.0}
+        return {"speed": outcome["speed"], "drift_deg": float(np.degrees(outcome["drift"]))} | cost
     return dict(outcome)
 
 

@@ -50,15 +50,16 @@ def record(run: Run, policy: PolicyName = "policy", seed: int = EVALUATION_SEED)
         raise InputError(f"seed = {seed}: must be 0 or more")
     env = make_env(run.env_arguments)
     worm: Any = env.unwrapped
-    recorder = Recorder(worm.design, worm.layout, run.config.task)
+    recorder = Recorder(worm.design, worm.layout, run.config.task, worm.world)
     total, progress = 0.0, Progress()
     for number, step in enumerate(play(env, make_policy(policy, run, env), seed)):
         progress(f"recording: step {number}")
         total += step.reward
         status = step.info["status"]
-        parts = (f"return {total:.2f}", worm.task.caption(worm.state.position), "" if status == OK else status)
+        parts = (f"return {total:.2f}", worm.task.caption(worm.state), "" if status == OK else status)
         line = "   ".join(part for part in parts if part)
-        recorder.append(worm.time, worm.state.position, worm.activation, step.reward, line)
+        state = worm.state
+        recorder.append(worm.time, state.position, worm.activation, step.reward, line, state.bolus_position)
     env.close()
     return recorder.build()
 
@@ -108,6 +109,7 @@ def span(trajectory: Trajectory, gif: tuple[float, float]) -> Trajectory:
         trajectory,
         time=time[shown],
         position=trajectory.position[shown],
+        bolus=None if trajectory.bolus is None else trajectory.bolus[shown],
         activation=trajectory.activation[shown],
         reward=trajectory.reward[shown],
         outcome=tuple(trajectory.outcome[frame] for frame in np.flatnonzero(shown)),

@@ -1,7 +1,7 @@
 """Gymnasium environments of a lattice worm made of Cosserat rods.
 
-Importing it registers `LatticeWorm-v0`, `LatticeWormExtension-v0`, `LatticeWormCompression-v0`, `LatticeWormBending-v0`
-and `LatticeWormPeristalsis-v0`; `LatticeWormEnv` is their specification.
+Importing it registers `LatticeWorm-v0` and one id for every task, such as `LatticeWormCrawl-v0`; `LatticeWormEnv` is
+their specification, with a table of them.
 """
 
 from __future__ import annotations
@@ -9,17 +9,23 @@ from __future__ import annotations
 from gymnasium.envs.registration import register
 
 from lattice_gym.design import LatticeDesign
-from lattice_gym.env import LatticeWormEnv
+from lattice_gym.env import LatticeWormEnv, LatticeWormGoalEnv
 from lattice_gym.gaits import gait, grouped
 from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.muscles import Muscle, MuscleLayout, horizontal, named_layout, resolve_layout, tie, vertical
+from lattice_gym.world import Bolus, Ground, Medium, World
 
 __all__ = [
+    "Bolus",
+    "Ground",
     "Lattice",
     "LatticeDesign",
     "LatticeWormEnv",
+    "LatticeWormGoalEnv",
+    "Medium",
     "Muscle",
     "MuscleLayout",
+    "World",
     "build_lattice",
     "gait",
     "grouped",
@@ -31,7 +37,15 @@ __all__ = [
 ]
 
 # Control steps of 0.05 s: long enough for a shape to settle, and for ten periods of a typical wave.
-_TIME_LIMITS = {"peristalsis": 200, "extension": 40, "compression": 40, "bending": 40}
+_TIME_LIMITS = {
+    "peristalsis": 200,
+    "extension": 40,
+    "compression": 40,
+    "bending": 40,
+    "reach": 60,
+    "crawl": 200,
+    "transport": 200,
+}
 
 for _task, _limit in _TIME_LIMITS.items():
     for _name in (
@@ -43,3 +57,9 @@ for _task, _limit in _TIME_LIMITS.items():
             max_episode_steps=_limit,
             kwargs={"task": _task},
         )
+register(
+    id="LatticeWormReachGoal-v0",
+    entry_point="lattice_gym.env:LatticeWormGoalEnv",
+    max_episode_steps=_TIME_LIMITS["reach"],
+    kwargs={"task": "reach"},
+)

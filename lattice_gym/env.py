@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, get_args
 
 import gymnasium
@@ -18,12 +19,14 @@ from lattice_gym.measures import site_nodes
 from lattice_gym.model import RodModel, RodState, build_model
 from lattice_gym.muscles import MuscleLayout, advance_activation, control_groups, resolve_layout
 from lattice_gym.stability import default_dt, stable_dt
-from lattice_gym.tasks import TASKS, make_task
+from lattice_gym.tasks import COMMAND_BOUND, TASKS, Given, GoalTask, make_task
+from lattice_gym.world import World
 
 if TYPE_CHECKING:
     from lattice_gym.rendering import Renderer
 
-Observation = npt.NDArray[np.float32]
+Observation = Any
+"""An array; of a `LatticeWormGoalEnv` a dict of three."""
 
 OBSERVATIONS = ("sites", "nodes")
 
@@ -60,6 +63,14 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | "extension" | `LatticeWormExtension-v0` | a longer body | "extension" | 40 steps |
     | "compression" | `LatticeWormCompression-v0` | a shorter body | "compression" | 40 steps |
     | "bending" | `LatticeWormBending-v0` | a bend towards a commanded azimuth | "all" | 40 steps |
+    | "reach" | `LatticeWormReach-v0` | the top's centre at a commanded place | "all" | 60 steps |
+    | "crawl" | `LatticeWormCrawl-v0` | a way over the ground, along +x or -x | "all" | 200 steps |
+    | "transport" | `LatticeWormTransport-v0` | a ball inside carried up or down | "all" | 200 steps |
+
+    The crawling worm is free, lies along x in a medium of 1000 kg/m^3 on a ground with friction (`World`), and has a
+    tenth of the default damping, 0.003 N s/m per node: that resists all motion, and would outdo friction. Transport has
+    muscles of 1 N and, between the two rings halfway up, a ball of friction 0.1, as dense as the medium, of a radius
+    9 % larger than the room that the ring muscles leave: 30 mm by default.
 
     ## Action space
 
@@ -88,12 +99,13 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | displacement from rest of each point (x, y, z) | 3 n_point | 0.2 height | +-20 |
     | velocity of each point (x, y, z) | 3 n_point | height / s | +-20 |
     | activation of each control group: its muscles share one | n_action | 1 | 0 to 1 |
-    | what the task commands, see below | 0, 2 or 5 | | |
+    | what the task commands, see below | 0 to 7 | | |
     | with `rhythm`: cosine and sine of a clock that starts with the episode | 2 | 1 | +-1 |
 
     Points are the sites ("sites", each the mean of its two nodes) or all nodes of the structure rods ("nodes"), without
     those that the base holds in place: 48 sites or 480 nodes in the default design. Displacements and velocities beyond
     their bound are clipped to it and counted in `info["clipped_observations"]`; in the default design none come near.
+    Of a worm that crawls, displacements in x and y are less their mean over the points.
 
     | task | what it commands | bound |
     |---|---|---|
@@ -101,10 +113,19 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | bending | cosine and sine of the azimuth | +-1 |
     | peristalsis | cosine and sine of the wave's phase at the base, now | +-1 |
     | peristalsis | speed / (height / s), wavelength / height, amplitude / 0.055 | +-10 |
+    | reach | way from the top's centre to the target (x, y, z) / 0.2 height, clipped to the bound | +-10 |
+    | crawl | direction | +-1 |
+    | crawl | way of the centre of mass to +y / height, clipped to the bound | +-10 |
+    | transport | direction | +-1 |
+    | transport | way of the ball from its start (x, y, z) / 0.2 height, clipped to the bound | +-10 |
+    | transport | velocity of the ball (x, y, z) / (height / s), clipped to the bound | +-10 |
+
+    `LatticeWormGoalEnv` (id `LatticeWormReachGoal-v0`) observes goals apart, for hindsight replay.
 
     ## Rewards
 
-    The reward is the sum of `info["reward_terms"]`, in their order, to the last bit. Doing nothing earns nothing.
+    The reward is the sum of `info["reward_terms"]`, in their order, to the last bit. Doing nothing earns nothing;
+    in crawl and transport, where worm and ball still creep, less than 0.0001 a step.
 
     | task | term | value at the end of the control step |
     |---|---|---|
@@ -113,6 +134,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | bending | `bend` | part of the bend towards the commanded azimuth [rad] |
     | bending | `sideways` | minus the size of its part across [rad] |
     | peristalsis | `tracking` | how well the commanded wave is followed, from -1 to 2, see below |
+    | reach | `approach` | target's distance from where the top's centre rests, less that from where it is [height] |
+    | crawl | `progress` | 10 times the centre of mass's way along the command in this step [height] |
+    | transport | `progress` | 10 times the ball's way in the body along the command in this step [height] |
+    | transport | `lost` | -5 where the ball has left the body other than by the commanded end, else 0 |
     | all | `effort` | minus 0.01 times the mean squared activation of the muscles |
     | all | `divergence` | 0; or -1000 where the physics diverged, and then all other terms are 0 |
 
@@ -120,13 +145,19 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     over the n levels that can move, tracking = (sum t^2 - sum (d - t)^2) / (n amplitude^2 / 2 + sum (d - t)^2): 0 for
     doing nothing, sum t^2 / (n amplitude^2 / 2) for following perfectly, which is 1 on average, and never below -1.
 
+    The ball's place in the body is where the line from ring centre to ring centre comes nearest to it, in rest heights.
+    It has left by an end where it lies beyond the plane through the last ring's centre across that line, and sideways
+    where it is further from the line than the mean radius of the rings there (`measures.lodging`).
+
     Bend, azimuth and strain are relative to the base: under a free body, to its bottom ring, so that a rigid motion of
     the whole body is neither bend nor strain.
 
     ## Starting state
 
-    At rest, free of stress, activations 0. Only the command is random, uniform over the ranges below. Numbers given as
-    `command` are held in every episode, those in `reset(options={...})` in that one; the options win.
+    At rest, free of stress, activations 0. In crawl and transport 3 s with slack muscles went before, in which worm and
+    ball came to rest, and displacements count from there. Only the command is random, uniform over the ranges below.
+    Numbers given as `command` are held in every episode, those in `reset(options={...})` in that one; the options win.
+    Of a list in place of a number, one is drawn for each episode.
 
     | task | name | drawn from | may be given |
     |---|---|---|---|
@@ -135,17 +166,23 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | peristalsis | `wavelength` [m] | 0.8 to 1.2 heights | 3 level spacings to 10 heights |
     | peristalsis | `amplitude` over the rest radius | 0.04 to 0.07 | 0.001 to 0.5 |
     | peristalsis | `phase` at the base at the start [rad] | 0 to 2 pi | -2 pi to 2 pi |
+    | reach | `azimuth` of the target [rad] | 0 to 2 pi | -2 pi to 2 pi |
+    | reach | `radius`: its distance from the axis [heights] | 0.05 to 0.2 | 0 to 1.5 |
+    | reach | `rise`: its height above the top at rest [heights] | -0.08 to 0 | -1 to 1.5 |
+    | crawl | `direction` along x | -1 or 1 | -1 or 1 |
+    | transport | `direction` up the body | -1 or 1 | -1 or 1 |
 
-    A period of the wave must last at least 4 control steps.
+    A period of the wave must last at least 4 control steps. `tasks.EIGHT_TARGETS` is a command of reach: eight targets
+    on a circle, as in Schaffer et al. (arXiv 2408.16069).
 
     ## Episode end
 
-    `terminated` only where the physics diverges: a state that is not finite, an element inverted or over-stretched, a
-    joint torn or, where asked for, energy from nowhere (`energy_check`) or too long a step (`step_check`); see
-    `engines.Status`. Then `info["status"]` names what and where, by rod and element, and the observation is the last
-    sound one, again; `time` is that of the control step that failed. The penalty exceeds what lies between the best and
-    the worst episode of registered length in any task, so none that ends well is worth less. The environment never
-    truncates itself: the time limit is registered.
+    `terminated` in transport where the ball has left the body, and else only where the physics diverges: a state that
+    is not finite, an element inverted or over-stretched, a joint torn or, where asked for, energy from nowhere
+    (`energy_check`) or too long a step (`step_check`); see `engines.Status`. Then `info["status"]` names what and
+    where, by rod and element, and the observation is the last sound one, again; `time` is that of the control step that
+    failed. The penalty exceeds what lies between the best and the worst episode of registered length in any task, so
+    none that ends well is worth less. The environment never truncates itself: the time limit is registered.
 
     ## Info
 
@@ -159,6 +196,17 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | peristalsis | `wave_index` (1 is a pure travelling wave, 0 a standing one, noise or none) |
     | peristalsis | `wave_direction` (+1 up, -1 down, 0 neither), `wave_speed` [m/s] |
     | peristalsis | `wave_amplitude` over the rest radius: of the dominant mode, wave or not |
+    | reach | `distance` of the top's centre from the target [m] |
+    | reach | `reached`: 1 once it came within 0.03 heights, else 0; `reach_time`: when it first did [s], else 0 |
+    | crawl | `speed` along the command since the start [body heights a minute] |
+    | crawl | `drift`: angle between the way so far and the command [rad]; 0 before 0.01 heights |
+    | crawl | `cost_of_transport`, see below; 0 before 0.01 heights along the command |
+    | transport | `distance` of the ball along the command [m], `speed`: that over time [m/s] |
+    | transport | `held`: 0 once it is lost, else 1; `delivered`: 1 once it left by the commanded end, else 0 |
+
+    The cost of transport is the muscles' work over weight (without buoyancy) times way along the command. Work is
+    reckoned from the ends of control steps, mean tension times what a muscle has shortened by, and not regained where
+    it is lengthened: an upper bound of what the lattice takes, as most of it is stored and given back.
 
     The wave is that of the ring radii over the last two commanded periods, and 0 before two have passed; its value at
     the end of an episode is the one to report. Index, direction and speed are given only to motion that stands out of
@@ -184,9 +232,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     Arguments
     ---------
     task
-        "extension", "compression", "bending" or "peristalsis".
+        "extension", "compression", "bending", "peristalsis", "reach", "crawl" or "transport".
     design
-        LatticeDesign or its dict form; None: the default one.
+        LatticeDesign; or a dict of what differs from the task's own; None: the task's own, the default one for most.
     muscles
         "extension", "compression", "bending", "all", a MuscleLayout or its dict form; None: the task's own.
     control
@@ -217,7 +265,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     observation
         "sites" or "nodes".
     command
-        Commanded numbers, by name, to hold in every episode.
+        Commanded numbers, by name, to hold in every episode, or lists to draw one from for each.
+    world
+        Medium, ground and bolus around the worm and whether it lies: a World, or a dict of what differs from the task's
+        own; None: the task's own, nothing at all for most. One that lies needs a free base.
     render_mode
         None or "rgb_array".
 
@@ -233,7 +284,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     metadata = METADATA
     action_space: spaces.Box[np.float32]
-    observation_space: spaces.Box[np.float32]
+    observation_space: spaces.Space[Any]
 
     def __init__(
         self,
@@ -251,7 +302,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         step_check: bool = False,
         control_dt: float = 0.05,
         observation: str = "sites",
-        command: Mapping[str, float] | None = None,
+        command: Given | None = None,
+        world: World | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
         _check_choice("task", task, tuple(TASKS))
@@ -262,12 +314,15 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self.control_dt = _number("control_dt", control_dt, SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT, "s")
         self.rhythm = None if rhythm is None else _number("rhythm", rhythm, 0.0, 0.5 / self.control_dt, "Hz")
         preset = named_fidelity(fidelity)
-        self.design = preset.remesh(_design(design))
+        self.design = preset.remesh(_design(design, TASKS[task].design))
         self.lattice = build_lattice(self.design)
         self.layout = resolve_layout(TASKS[task].layout if muscles is None else muscles, self.lattice)
         self.groups = control_groups(control, self.layout, self.lattice)
-        self.task = make_task(task, self.lattice, self.control_dt, command)
-        self.model = build_model(self.lattice, self.layout)
+        self.world = _world(world, TASKS[task].surroundings, self.lattice)
+        if self.world.lying and self.design.base == "clamped":
+            raise ValueError("world: a worm that lies needs a free base (design.base); on a clamped one it stands")
+        self.model = build_model(self.lattice, self.layout, self.world)
+        self.task = make_task(task, self.lattice, self.control_dt, command, self.model)
         preferred: Splitting = "pyelastica" if engine == "pyelastica" else preset.splitting
         self.splitting: Splitting = preferred if splitting is None else splitting
         self.n_substeps, self.dt = self._substeps(dt, allow_large_dt)
@@ -279,12 +334,13 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._renderer: Renderer | None = None
         self._engine: Engine = self._make_engine()
 
+        self.task.rest = self._start = self._settled()
         self._point_nodes = _observed_nodes(self.model, self.lattice, observation)
-        self._rest_points = self.model.rest_state().position[self._point_nodes].mean(axis=1)
+        self._rest_points = self._start.position[self._point_nodes].mean(axis=1)
         n_action = int(self.groups.max()) + 1
         self.action_space = spaces.Box(0.0, 1.0, (n_action,), np.float32)
         self.observation_space = self._space(n_action)
-        self._state = self.model.rest_state()
+        self._state = self._start.copy()
         self._activation = np.zeros(n_action)
         self._n_step = 0
         self._running = False
@@ -328,23 +384,24 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         health = self._engine.advance(tension, self.n_substeps)
         if health.ok:
             self._state, self._activation, self._n_step = self._engine.state, after, self._n_step + 1
-            terms = self.task.terms(self._state.position, self.activation, self.time) | {"divergence": 0.0}
+            terms = self.task.terms(self._state, self.activation, self.time) | {"divergence": 0.0}
         else:
             self._engine.restore(self._state)
-            self._running = False
             terms = dict.fromkeys(self.task.term_names, 0.0) | {"divergence": -DIVERGENCE_PENALTY}
+        over = not health.ok or self.task.over(self._state)
+        self._running = not over
         observation, n_beyond = self._observe()
         if not health.ok:
             # Not before the last sound moment was observed.
             self._n_step += 1
         info = {
             "reward_terms": terms,
-            "outcome": self.task.outcome(self._state.position),
+            "outcome": self.task.outcome(self._state),
             "status": str(health),
             "clipped_actions": n_clipped,
             "clipped_observations": n_beyond,
         }
-        return observation, sum(terms.values()), not health.ok, False, info
+        return observation, sum(terms.values()), over, False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """Picture of the worm now, shape (480, 640, 3); None without a render mode."""
@@ -354,9 +411,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             from lattice_gym.rendering import Renderer
 
             self._renderer = Renderer(self.lattice, self.model)
-        position = self._state.position
-        caption, bolus = self.task.caption(position), self._state.bolus_position
-        return self._renderer.update(position, self.activation, self.time, caption, bolus)
+        state, caption = self._state, self.task.caption(self._state)
+        return self._renderer.update(state.position, self.activation, self.time, caption, state.bolus_position)
 
     def close(self) -> None:
         """Free the renderer."""
@@ -399,8 +455,21 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             raise ValueError(f"dt = {step!r}: above the predicted stable {limit:.6g} s; allow_large_dt=True permits it")
         return n_substeps, step
 
+    def _settled(self) -> RodState:
+        """State in which an episode starts, at rest: that of the model, after it has settled in its surroundings."""
+        state = self.model.rest_state()
+        if self.task.settling == 0.0:
+            return state
+        step = default_dt(self.model, self.task.settling, self.design.max_tension)
+        engine = make_engine("fused", self.model, step)
+        health = engine.advance(np.zeros(self.model.n_muscle), round(self.task.settling / step))
+        if not health.ok:
+            raise ValueError(f"world: the worm does not come to rest in it: {health}")
+        now = engine.state
+        return replace(state, position=now.position, directors=now.directors, bolus_position=now.bolus_position)
+
     def _rest(self) -> None:
-        self._state = self.model.rest_state()
+        self._state = self._start.copy()
         self._engine.restore(self._state)
         self._activation = np.zeros_like(self._activation)
         self._n_step = 0
@@ -425,22 +494,78 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         height = self.design.height
         displacement = self._state.position[self._point_nodes].mean(axis=1) - self._rest_points
         velocity = self._state.velocity[self._point_nodes].mean(axis=1)
+        if self.task.travels:
+            displacement[:, :2] -= displacement[:, :2].mean(axis=0)
         moving = np.concatenate(
             [displacement.ravel() / (POSITION_SCALE * height), velocity.ravel() / (VELOCITY_SCALE * height)]
         )
         bounded = np.clip(moving, -OBSERVATION_BOUND, OBSERVATION_BOUND)
-        parts = [bounded, self._activation, self.task.observe(self.time)]
+        parts = [bounded, self._activation, *self._commanded()]
         if self.rhythm is not None:
             angle = TURN * self.rhythm * self.time
             parts.append(np.array([np.cos(angle), np.sin(angle)]))
         return np.concatenate(parts).astype(np.float32), int(np.count_nonzero(bounded != moving))
 
-    def _space(self, n_action: int) -> spaces.Box[np.float32]:
+    def _commanded(self) -> list[FloatArray]:
+        """Observe what is asked for."""
+        return [self.task.observe(self._state, self.time)]
+
+    def _space(self, n_action: int, commanded: tuple[float, ...] | None = None) -> spaces.Space[Any]:
         n_moving = 6 * len(self._point_nodes)
-        bounds = np.array(self.task.bounds + (() if self.rhythm is None else (1.0, 1.0)))
+        commanded = self.task.bounds if commanded is None else commanded
+        bounds = np.array(commanded + (() if self.rhythm is None else (1.0, 1.0)))
         high = np.concatenate([np.full(n_moving, OBSERVATION_BOUND), np.ones(n_action), bounds])
         low = np.concatenate([np.full(n_moving, -OBSERVATION_BOUND), np.zeros(n_action), -bounds])
         return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+
+
+class LatticeWormGoalEnv(LatticeWormEnv):
+    """A `LatticeWormEnv` whose goals are observed apart, as hindsight replay wants it; for tasks that have goals.
+
+    Its observation is a Dict: "observation" is that of `LatticeWormEnv` without what the task commands, "achieved_goal"
+    and "desired_goal" are Boxes. Goals of reach are the displacement of the top's centre from rest (x, y, z), in units
+    of 0.2 height, within +-10. All else is as in `LatticeWormEnv`; `LatticeWormReachGoal-v0` is its id.
+    """
+
+    def __init__(self, task: str = "reach", **arguments: Any) -> None:
+        if isinstance(task, str) and task in TASKS and not issubclass(TASKS[task], GoalTask):
+            having = ", ".join(name for name, kind in TASKS.items() if issubclass(kind, GoalTask))
+            raise ValueError(f"task = {task!r}: has no goals; those that do: {having}")
+        super().__init__(task, **arguments)
+
+    def compute_reward(
+        self, achieved_goal: npt.NDArray[Any], desired_goal: npt.NDArray[Any], info: Any
+    ) -> float | FloatArray:
+        """Reward of a step with these goals: exactly that of `step` where they are its own.
+
+        Goals of shape (n_goal,) and the `info` of the step give a float; (n, n_goal) and n infos give shape (n,). The
+        terms that goals do not decide are taken from `reward_terms`; infos without it count the goals alone.
+        """
+        single, own = isinstance(info, Mapping), self._goal_task.goal_term
+        reward = self._goal_task.goal_reward(achieved_goal, desired_goal)
+        terms = [entry.get("reward_terms", {}) for entry in ([info] if single else info)]
+        others = np.array([sum(value for name, value in entry.items() if name != own) for entry in terms])
+        diverged = np.array([entry.get("divergence", 0.0) != 0.0 for entry in terms])
+        total: FloatArray = np.where(diverged, others, reward + others)
+        return float(total[0]) if single else total
+
+    @property
+    def _goal_task(self) -> GoalTask:
+        assert isinstance(self.task, GoalTask)
+        return self.task
+
+    def _observe(self) -> tuple[Observation, int]:
+        flat, n_beyond = super()._observe()
+        goals = {"achieved_goal": self._goal_task.achieved(self._state), "desired_goal": self._goal_task.desired()}
+        return {"observation": flat, **goals}, n_beyond
+
+    def _commanded(self) -> list[FloatArray]:
+        return []
+
+    def _space(self, n_action: int, commanded: tuple[float, ...] | None = None) -> spaces.Space[Any]:
+        goal = spaces.Box(-COMMAND_BOUND, COMMAND_BOUND, (self._goal_task.n_goal,), np.float32)
+        flat = super()._space(n_action, ())
+        return spaces.Dict({"observation": flat, "achieved_goal": goal, "desired_goal": goal})
 
 
 def _check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
@@ -455,14 +580,20 @@ def _number(name: str, value: object, low: float, high: float, unit: str) -> flo
     raise ValueError(f"{name} = {value!r}: must be a number from {low:g} to {high:g} [{unit}], and not 0")
 
 
-def _design(design: object) -> LatticeDesign:
-    if design is None:
-        return LatticeDesign()
+def _design(design: object, own: Mapping[str, Any]) -> LatticeDesign:
     if isinstance(design, LatticeDesign):
         return design
-    if isinstance(design, Mapping):
-        return LatticeDesign.from_dict(design)
+    if design is None or isinstance(design, Mapping):
+        return LatticeDesign.from_dict({**own, **(design or {})})
     raise ValueError(f"design = {design!r}: must be a LatticeDesign, its dict form or None")
+
+
+def _world(world: object, own: Callable[[Lattice], World], lattice: Lattice) -> World:
+    if isinstance(world, World):
+        return world
+    if world is None or isinstance(world, Mapping):
+        return own(lattice) if not world else World.from_dict({**own(lattice).to_dict(), **world})
+    raise ValueError(f"world = {shown(world)}: must be a World, its dict form or None")
 
 
 def _observed_nodes(model: RodModel, lattice: Lattice, observation: str) -> IntArray:

@@ -27,7 +27,17 @@ FULL_DRIVE_AMPLITUDE = 0.06
 LEAST, MOST = 1e-9, 1e9
 """Sizes that the numbers of a gait lie between, wide enough for any body in SI units; some may also be 0."""
 
-TASKS_WITH_GAITS = ("extension", "compression", "bending", "peristalsis")
+CRAWL_FREQUENCY, CRAWL_WAVELENGTH = 1.0, 1.0
+"""Of the crawling wave [Hz], [heights]: the best of wavelengths from 0.6 to 2; up to 3 Hz faster is faster."""
+CARRY_FREQUENCY, CARRY_WAVELENGTH, CARRY_VERTICAL_SHARE = 0.2, 0.5, 0.5
+"""Of the carrying wave [Hz], [heights]: what it holds rides it, at a tenth of a height a second."""
+CARRY_START = 0.565
+"""Where the ball of the task has come to rest [heights]."""
+REACH_SHARPNESS = (3.8, 44.0)
+REACH_LENGTHENING = (6.7, 5.5)
+"""Coefficients of `reaching_gait`: least squares over what the default design reached."""
+
+TASKS_WITH_GAITS = ("extension", "compression", "bending", "peristalsis", "reach", "crawl", "transport")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,8 +75,8 @@ class Gait:
 def gait(task: str, lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
     """Hand-made gait for a task by name, given what the task commands; muscles of no use to it rest.
 
-    A command is the task's own (`env.unwrapped.task.command`): bending needs `azimuth`, peristalsis `speed`,
-    `wavelength`, `amplitude` and `phase`.
+    A command is the task's own (`env.unwrapped.task.command`): bending needs `azimuth`, reach `azimuth`,
+    `radius` and `rise`, crawl and transport `direction`, peristalsis `speed`, `wavelength`, `amplitude` and `phase`.
     """
     if not isinstance(task, str) or task not in TASKS_WITH_GAITS:
         raise ValueError(f"task = {shown(task)}: must be one of {', '.join(TASKS_WITH_GAITS)}")
@@ -76,6 +86,12 @@ def gait(task: str, lattice: Lattice, layout: MuscleLayout, command: Mapping[str
         return compression_gait(lattice, layout)
     if task == "bending":
         return bending_gait(lattice, layout, **_only(task, command, "azimuth"))
+    if task == "crawl":
+        return crawling_gait(lattice, layout, **_only(task, command, "direction"))
+    if task == "transport":
+        return carrying_gait(lattice, layout, **_only(task, command, "direction"))
+    if task == "reach":
+        return reaching_gait(lattice, layout, **_only(task, command, "azimuth", "radius", "rise"))
     return peristalsis_gait(lattice, layout, **_only(task, command, "speed", "wavelength", "amplitude", "phase"))
 
 
@@ -99,6 +115,83 @@ def bending_gait(lattice: Lattice, layout: MuscleLayout, azimuth: float, sharpne
     middle = _middle(lattice, layout)
     facing = np.cos(np.arctan2(middle[:, 1], middle[:, 0]) - azimuth)
     return _hold(sharpness * np.where(_longitudinal(lattice, layout), facing, -facing))
+
+
+def reaching_gait(lattice: Lattice, layout: MuscleLayout, azimuth: float, radius: float, rise: float) -> Gait:
+    """Hold a bend towards the azimuth [rad], and the verticals or the rings all round to lower or raise the top.
+
+    Sharpness of the bend s = p radius + q radius^3, where the bend alone lowers the top by about 5.5 / 6.7 radius^2,
+    and lengthening b = u rise + v radius^2; radius and rise in heights. Verticals take s cos + max(-b, 0), rings
+    -s cos + max(b, 0), with the cosine of the angle from the azimuth.
+    """
+    _check(-MOST, azimuth=azimuth, rise=rise)
+    _check(0.0, radius=radius)
+    sharpness = REACH_SHARPNESS[0] * radius + REACH_SHARPNESS[1] * radius**3
+    lengthening = REACH_LENGTHENING[0] * rise + REACH_LENGTHENING[1] * radius**2
+    middle = _middle(lattice, layout)
+    bend = sharpness * np.cos(np.arctan2(middle[:, 1], middle[:, 0]) - azimuth)
+    shorten, lengthen = max(-lengthening, 0.0), max(lengthening, 0.0)
+    return _hold(np.where(_longitudinal(lattice, layout), bend + shorten, lengthen - bend))
+
+
+def crawling_gait(
+    lattice: Lattice,
+    layout: MuscleLayout,
+    direction: float,
+    frequency: float = CRAWL_FREQUENCY,
+    wavelength: float = CRAWL_WAVELENGTH,
+    ring_share: float = 1.0,
+) -> Gait:
+    """Rings and vertical muscles in antiphase, as a wave that runs along the body against the direction it crawls in.
+
+    Where vertical muscles contract the body is thick and stands, where rings do it is thin and moves on, as in an
+    earthworm. The direction is +1 towards the top end, -1 towards the base; the frequency in Hz, the wavelength in
+    heights.
+    """
+    _check(-MOST, direction=direction)
+    _check(LEAST, frequency=frequency, wavelength=wavelength)
+    _check(0.0, ring_share=ring_share)
+    if direction == 0.0:
+        raise ValueError(f"direction = {direction!r}: must not be 0")
+    longitudinal, height = _longitudinal(lattice, layout), _middle(lattice, layout)[:, 2]
+    drive = 0.5 * np.where(longitudinal, 1.0, ring_share)
+    return Gait(
+        offset=drive,
+        swing=np.where(longitudinal, drive, -drive),
+        phase=TURN * height / (wavelength * lattice.design.height),
+        frequency=-float(np.sign(direction)) * frequency,
+    )
+
+
+def carrying_gait(
+    lattice: Lattice,
+    layout: MuscleLayout,
+    direction: float,
+    frequency: float = CARRY_FREQUENCY,
+    wavelength: float = CARRY_WAVELENGTH,
+    vertical_share: float = CARRY_VERTICAL_SHARE,
+    start: float = CARRY_START,
+) -> Gait:
+    """Rings that contract as a wave along the body in the commanded direction, with what they hold in its trough.
+
+    Verticals contract in antiphase, where rings let go. The direction is +1 towards the top end, -1 towards the base;
+    frequency in Hz, wavelength in heights; at time 0 a trough is at the height `start` [heights].
+    """
+    _check(-MOST, direction=direction, start=start)
+    _check(LEAST, frequency=frequency, wavelength=wavelength)
+    _check(0.0, vertical_share=vertical_share)
+    if direction == 0.0:
+        raise ValueError(f"direction = {direction!r}: must not be 0")
+    longitudinal = _longitudinal(lattice, layout)
+    above = _middle(lattice, layout)[:, 2] / lattice.design.height - start
+    drive = 0.5 * np.where(longitudinal, vertical_share, 1.0)
+    return Gait(
+        offset=drive,
+        swing=np.where(longitudinal, drive, -drive),
+        phase=TURN * above / wavelength,
+        frequency=float(np.sign(direction)) * frequency,
+        lead=0.0,
+    )
 
 
 def peristalsis_gait(

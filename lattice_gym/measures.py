@@ -96,6 +96,12 @@ def _ring(lattice: Lattice, name: str, mask: npt.NDArray[np.bool_]) -> IntArray:
     return sites[np.argsort(lattice.site_azimuth[sites])]
 
 
+def top_centre(lattice: Lattice, position: FloatArray) -> FloatArray:
+    """Mean place of the top ring's sites [m], shape (3,)."""
+    centre: FloatArray = site_positions(lattice, position)[top_sites(lattice)].mean(axis=0)
+    return centre
+
+
 def top_normal(lattice: Lattice, position: FloatArray) -> FloatArray:
     """Return the unit normal of the top ring, shape (3,): the direction of the area vector of its sites."""
     return _normal(site_positions(lattice, position)[top_sites(lattice)], "top")
@@ -144,6 +150,11 @@ def azimuth_of(vector: FloatArray) -> float:
 
 def ring_radii(lattice: Lattice, position: FloatArray) -> FloatArray:
     """Mean distance of each level's sites to their centroid [m], shape (n_level,). No common levels: ValueError."""
+    return _rings(lattice, position)[1]
+
+
+def _rings(lattice: Lattice, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centroid of each level's sites [m], shape (n_level, 3), and their mean distance to it [m], shape (n_level,)."""
     level = lattice.site_level
     if lattice.n_level == 0 or level.min() < 0:
         raise ValueError("lattice: its sites share no common levels (uneven phases), so it has no ring radii")
@@ -151,7 +162,39 @@ def ring_radii(lattice: Lattice, position: FloatArray) -> FloatArray:
     count = np.bincount(level, minlength=lattice.n_level)
     centre = np.stack([np.bincount(level, site[:, i], lattice.n_level) for i in range(3)], axis=1) / count[:, None]
     radii: FloatArray = np.bincount(level, np.linalg.norm(site - centre[level], axis=1), lattice.n_level) / count
-    return radii
+    return centre, radii
+
+
+@dataclass(frozen=True)
+class Lodging:
+    """Where in the body a point lies: `lodging`."""
+
+    height: float
+    """Rest height of the place on the body's axis nearest to it [m]; 0 or the full height where it is out by an end."""
+    outside: bool
+    """Beside the body: further from the axis than the ring there."""
+    end: int
+    """+1 out by the top end, -1 by the bottom end, 0 between them."""
+
+
+def lodging(lattice: Lattice, position: FloatArray, point: FloatArray) -> Lodging:
+    """Place of a point [m], shape (3,), in the body, whose axis runs from ring centre to ring centre, level by level.
+
+    It is out by an end where it lies beyond the plane through the last ring's centre across the axis there; else beside
+    the body where its distance from the axis exceeds the radii of the two rings around it, taken linear between them.
+    """
+    centre, radius = _rings(lattice, position)
+    side, way = np.diff(centre, axis=0), point - centre[:-1]
+    share = np.sum(way * side, axis=1) / np.sum(side * side, axis=1)
+    if share[0] < 0.0 and share[-1] < 1.0:
+        return Lodging(0.0, False, -1)
+    if share[-1] > 1.0 and share[0] > 0.0:
+        return Lodging(float(lattice.level_height[-1]), False, 1)
+    share = np.clip(share, 0.0, 1.0)
+    distance = np.linalg.norm(way - share[:, None] * side, axis=1)
+    k = int(np.argmin(distance))
+    height, reach = (row[k] + share[k] * (row[k + 1] - row[k]) for row in (lattice.level_height, radius))
+    return Lodging(float(height), bool(distance[k] > reach), 0)
 
 
 @dataclass(frozen=True)
@@ -261,6 +304,22 @@ def joint_gap(model: RodModel, position: FloatArray) -> float:
     first, second = model.tie_nodes(model.joints)
     gap = np.linalg.norm(position[first] - position[second], axis=1)
     return float(gap.max(initial=0.0))
+
+
+def mass_centre(model: RodModel, position: FloatArray) -> FloatArray:
+    """Centre of mass of the whole assembly [m], shape (3,)."""
+    centre: FloatArray = model.node_mass @ position / model.node_mass.sum()
+    return centre
+
+
+def muscle_lengths(model: RodModel, position: FloatArray) -> FloatArray:
+    """Length of every muscle along its rod, or of its line [m], shape (n_muscle,), in the order of their tensions."""
+    along = np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))
+    rods = np.array(model.muscles, dtype=np.int64)
+    first, last = model.node_offset[rods], model.node_offset[rods + 1] - 1
+    start, end = model.tie_nodes(model.lines)
+    lines = np.linalg.norm(position[start] - position[end], axis=1)
+    return np.concatenate([along[last - 1] - np.where(first > 0, along[first - 1], 0.0), lines])
 
 
 def dilatation(model: RodModel, position: FloatArray) -> FloatArray:

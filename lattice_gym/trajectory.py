@@ -10,7 +10,7 @@ import shutil
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,20 @@ import numpy.typing as npt
 from lattice_gym.design import FloatArray, LatticeDesign, finite_number, real_array, shown
 from lattice_gym.lattice import build_lattice
 from lattice_gym.muscles import MuscleLayout, resolve_layout
+from lattice_gym.world import World
 
 FORMAT = "lattice_gym trajectory"
-VERSION = 1
-ARRAYS = {"time": np.float64, "position": np.float32, "activation": np.float32, "reward": np.float64}
-META = ("format", "version", "task", "outcome", "design", "layout")
+VERSION = 2
+ARRAYS = {
+    "time": np.float64,
+    "position": np.float32,
+    "bolus": np.float32,
+    "activation": np.float32,
+    "reward": np.float64,
+}
+META = ("format", "version", "task", "outcome", "design", "layout", "world")
+
+Frame = npt.NDArray[np.float32]
 
 # Activations may leave [0, 1] by no more than rounding to float32.
 ACTIVATION_TOLERANCE = 1e-6
@@ -35,6 +44,13 @@ def n_nodes(design: LatticeDesign, layout: MuscleLayout) -> int:
     per_rod = design.n_segment * design.elements_per_segment + 1
     per_muscle = design.elements_per_muscle + 1 if design.muscle_model == "rod" else 0
     return design.n_rod * per_rod + len(layout) * per_muscle
+
+
+def n_bolus(world: World) -> int:
+    """Balls in a world: 0 or 1."""
+    if not isinstance(world, World):
+        raise ValueError(f"Trajectory.world = {shown(world)}: must be a World")
+    return 0 if world.bolus is None else 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,6 +74,9 @@ class Trajectory:
     design: LatticeDesign
     layout: MuscleLayout
     task: str
+    world: World = field(default_factory=World)
+    bolus: npt.NDArray[np.float32] | None = None
+    """Places of the ball [m], shape (n_frame, n_bolus, 3), n_bolus 1 in a world that has one and else 0; None: none."""
 
     def __post_init__(self) -> None:
         """Check everything against everything else."""
@@ -71,9 +90,12 @@ class Trajectory:
         shapes = {
             "time": (n_frame,),
             "position": (n_frame, n_nodes(self.design, self.layout), 3),
+            "bolus": (n_frame, n_bolus(self.world), 3),
             "activation": (n_frame, n_muscle),
             "reward": (n_frame,),
         }
+        if self.bolus is None:
+            object.__setattr__(self, "bolus", np.empty((n_frame, 0, 3)))
         if n_frame == 0:
             raise ValueError("Trajectory.time is empty: must hold at least one frame")
         for name, shape in shapes.items():
@@ -107,6 +129,7 @@ class Trajectory:
             "outcome": list(self.outcome),
             "design": self.design.to_json(),
             "layout": json.dumps(self.layout.to_dict()),
+            "world": json.dumps(self.world.to_dict()),
         }
         arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in ARRAYS}
         with replacing(path) as temporary, temporary.open("wb") as file:
@@ -131,34 +154,50 @@ class Trajectory:
 class Recorder:
     """Collects frames, then builds the trajectory."""
 
-    def __init__(self, design: LatticeDesign, layout: MuscleLayout, task: str) -> None:
+    def __init__(self, design: LatticeDesign, layout: MuscleLayout, task: str, world: World | None = None) -> None:
         self._design, self._layout, self._task = design, layout, task
-        self._shapes = {"position": (n_nodes(design, layout), 3), "activation": (len(layout),)}
-        self._frames: list[tuple[float, npt.NDArray[np.float32], npt.NDArray[np.float32], float, str]] = []
+        self._world = World() if world is None else world
+        self._shapes = {
+            "position": (n_nodes(design, layout), 3),
+            "activation": (len(layout),),
+            "bolus": (n_bolus(self._world), 3),
+        }
+        self._frames: list[tuple[float, Frame, Frame, float, str, Frame]] = []
 
     def __len__(self) -> int:
         """Return the number of frames so far."""
         return len(self._frames)
 
     def append(
-        self, time: float, position: npt.ArrayLike, activation: npt.ArrayLike, reward: float = 0.0, outcome: str = ""
+        self,
+        time: float,
+        position: npt.ArrayLike,
+        activation: npt.ArrayLike,
+        reward: float = 0.0,
+        outcome: str = "",
+        bolus: npt.ArrayLike | None = None,
     ) -> None:
-        """Copy a frame: time [s], positions (n_node, 3) [m], activations (n_muscle,), reward, line for the picture."""
+        """Copy a frame.
+
+        Time [s], positions (n_node, 3) [m], activations (n_muscle,), reward, line for the picture, and the place of the
+        ball (n_bolus, 3) [m] in a world that has one.
+        """
         x = _checked("position", position, self._shapes["position"])
         a = _checked("activation", activation, self._shapes["activation"])
+        b = _checked("bolus", np.empty((0, 3)) if bolus is None else bolus, self._shapes["bolus"])
         numbers = {"time": finite_number(time), "reward": finite_number(reward)}
         for name, number in numbers.items():
             if number is None:
                 raise ValueError(f"{name} = {shown(time if name == 'time' else reward)}: must be a finite number")
         if not isinstance(outcome, str):
             raise ValueError(f"outcome = {shown(outcome)}: must be text")
-        self._frames.append((float(time), x, a, float(reward), outcome))
+        self._frames.append((float(time), x, a, float(reward), outcome, b))
 
     def build(self) -> Trajectory:
         """Trajectory of the frames so far; there must be one."""
         if not self._frames:
             raise ValueError("Recorder holds no frame: append at least one before build()")
-        time, position, activation, reward, outcome = zip(*self._frames, strict=True)
+        time, position, activation, reward, outcome, bolus = zip(*self._frames, strict=True)
         return Trajectory(
             time=np.array(time),
             position=np.stack(position),
@@ -168,6 +207,8 @@ class Recorder:
             design=self._design,
             layout=self._layout,
             task=self._task,
+            world=self._world,
+            bolus=np.stack(bolus),
         )
 
 
@@ -223,12 +264,13 @@ def _unpacked(packed: dict[str, bytes]) -> dict[str, Any]:
         raise ValueError(f"meta must be a mapping of {', '.join(META)}")
     if meta["format"] != FORMAT or meta["version"] != VERSION:
         raise ValueError(f"it is {meta['format']!r} version {meta['version']!r}; must be version {VERSION}")
-    if not isinstance(meta["outcome"], list) or not isinstance(meta["layout"], str):
-        raise ValueError("meta: outcome must be a list, layout JSON text")
+    if not isinstance(meta["outcome"], list) or not all(isinstance(meta[name], str) for name in ("layout", "world")):
+        raise ValueError("meta: outcome must be a list, layout and world JSON text")
     return {
         **members,
         "task": meta["task"],
         "outcome": tuple(meta["outcome"]),
         "design": LatticeDesign.from_json(meta["design"]),
         "layout": MuscleLayout.from_dict(json.loads(meta["layout"])),
+        "world": World.from_dict(json.loads(meta["world"])),
     }

@@ -26,7 +26,7 @@ from agents import demo as demo_module
 from agents import run_folder
 from agents.benchmark import BenchmarkConfig, benchmark
 from agents.command_line import as_program
-from agents.config import InputError, TrainConfig
+from agents.config import InputError, Task, TrainConfig
 from agents.environments import make_env, make_vector_env, outcome_errors
 from agents.evaluation import (
     EVALUATION_SEED,
@@ -45,7 +45,9 @@ from agents.run_folder import Run
 from agents.training import TrainingLog, new_model, resume_settings, step_size, train, worm_seeds
 from lattice_gym.design import LatticeDesign
 from lattice_gym.gaits import gait
+from lattice_gym.lattice import build_lattice
 from lattice_gym.rendering.extras import extra
+from lattice_gym.tasks import TASKS
 from lattice_gym.trajectory import Trajectory, replacing
 
 ROOT = Path(__file__).parent.parent
@@ -382,6 +384,25 @@ def test_fidelity_that_cannot_be_is_refused(copy: Path) -> None:
     [
         ("extension", {}, {"strain": 0.3}, {"strain": 0.3}),
         (
+            "reach",
+            {"azimuth": 0.0},
+            {"distance": 1e-3, "reached": 1.0, "reach_time": 0.5},
+            {"distance": 1e-3, "reached": 1.0, "reach_time": 0.5},
+        ),
+        (
+            "crawl",
+            {"direction": 1.0},
+            {"speed": 5.0, "drift": np.radians(3.0), "cost_of_transport": 4.0},
+            {"speed": 5.0, "drift_deg": 3.0, "cost_of_transport": 4.0},
+        ),
+        (
+            "crawl",
+            {"direction": 1.0},
+            {"speed": 0.0, "drift": 0.0, "cost_of_transport": 0.0},
+            {"speed": 0.0, "drift_deg": 0.0},
+        ),
+        ("reach", {}, {"distance": 0.01, "reached": 0.0, "reach_time": 0.0}, {"distance": 0.01, "reached": 0.0}),
+        (
             "bending",
             {"azimuth": np.radians(350.0)},
             {"bend_angle": np.radians(20.0), "bend_direction": np.radians(15.0)},
@@ -413,6 +434,27 @@ def test_outcomes_are_judged_by_what_was_asked(
 ) -> None:
     """Numbers that mean the same under every command, with nothing said of the azimuth of an upright worm."""
     assert outcome_errors(task, command, outcome) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("task", ["reach", "crawl", "transport"])
+def test_new_worlds_are_learned_in(task: Task, tmp_path: Path) -> None:
+    """A short run learns, is evaluated beside the gait, and is filmed with what surrounds the worm."""
+    config = replace(TINY, task=task, run_dir=tmp_path / task)
+    run = Run.open(train(config))
+    scores = evaluate(run.path, episodes=1)
+    assert (
+        scores["gait"].outcome_mean.keys()
+        == {
+            "reach": {"distance", "reached", "reach_time"},
+            "crawl": {"speed", "drift_deg", "cost_of_transport"},
+            "transport": {"distance", "speed", "held", "delivered"},
+        }[task]
+    )
+    assert scores["gait"].return_mean > max(scores["nothing"].return_mean, 0.0)
+    trajectory = record(run, "gait")
+    assert trajectory.world == TASKS[task].surroundings(build_lattice(trajectory.design))
+    assert trajectory.bolus is not None
+    assert trajectory.bolus.shape == (trajectory.n_frame, 1 if task == "transport" else 0, 3)
 
 
 def test_judged_outcomes_reach_evaluation_and_log(tmp_path: Path) -> None:

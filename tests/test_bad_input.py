@@ -52,6 +52,7 @@ from lattice_gym.muscles import (
     vertical,
 )
 from lattice_gym.reports.__main__ import parser as reports_parser
+from lattice_gym.tasks import TASKS
 from lattice_gym.trajectory import Recorder, Trajectory
 from lattice_gym.world import Bolus, Ground, Medium, World
 
@@ -314,17 +315,29 @@ _MUSCLE_FUNCTIONS = st.sampled_from(sorted(_MUSCLE_CALLS)).flatmap(
 _ENV: dict[str, Any] = {
     "task": "bending", "design": SMALL, "muscles": None, "control": "muscle", "rhythm": None, "engine": "fused",
     "dt": None, "allow_large_dt": False, "control_dt": 0.05, "observation": "sites", "command": None,
-    "render_mode": None, "energy_check": False,
+    "render_mode": None, "energy_check": False, "world": None,
 }  # fmt: skip
 _ENV_VALUES: dict[str, st.SearchStrategy[Any]] = {
-    "task": st.sampled_from(["extension", "compression", "bending", "peristalsis", "Bending"]),
+    "task": st.sampled_from([*TASKS, "Bending"]),
     "design": _DESIGNS.map(lambda design: {**design, **SMALL}),
     "muscles": st.one_of(_LAYOUTS, st.sampled_from(["all", "extension", "strong"])),
     "control": st.one_of(st.sampled_from(["ring", "column"]), st.lists(st.integers(-1, 4), max_size=22)),
     "dt": st.one_of(st.floats(1e-7, 0.1), st.integers(1, 2000).map(lambda n: 0.05 / n)),
     "control_dt": st.floats(1e-7, 1.0),
     "rhythm": st.floats(0.0, 20.0),
-    "command": st.dictionaries(st.sampled_from(["azimuth", "speed", "wavelength", "phase"]), _NUMBERS, max_size=3),
+    "command": st.dictionaries(
+        st.sampled_from(["azimuth", "speed", "wavelength", "phase", "radius"]),
+        st.one_of(_NUMBERS, st.lists(st.floats(-1.0, 1.0), max_size=3)),
+        max_size=3,
+    ),
+    "world": st.fixed_dictionaries(
+        {},
+        optional={
+            "medium": st.one_of(JUNK, st.fixed_dictionaries({}, optional={"drag": _NUMBERS, "density": _NUMBERS})),
+            "ground": st.one_of(JUNK, st.fixed_dictionaries({}, optional={"stiffness": _NUMBERS, "wet": JUNK})),
+            "lying": st.one_of(JUNK, st.booleans()),
+        },
+    ),
 }
 _ENVS = st.lists(st.sampled_from(sorted(_ENV)), min_size=1, max_size=4, unique=True).flatmap(
     lambda names: st.fixed_dictionaries({name: st.one_of(JUNK, _ENV_VALUES.get(name, JUNK)) for name in names})
@@ -536,9 +549,9 @@ def good_trajectory() -> Trajectory:
 
 
 _FRAMES = {"time": 0.0, "position": small_model().rest_state().position, "activation": np.zeros(N_SMALL),
-           "reward": 0.0, "outcome": ""}  # fmt: skip
+           "reward": 0.0, "outcome": "", "bolus": None}  # fmt: skip
 _TRAJECTORY = {name: getattr(good_trajectory(), name) for name in (
-    "time", "position", "activation", "reward", "outcome", "design", "layout", "task"
+    "time", "position", "activation", "reward", "outcome", "design", "layout", "task", "world", "bolus"
 )}  # fmt: skip
 
 
@@ -575,7 +588,7 @@ def _member(value: Any) -> bytes:
     return file.getvalue()
 
 
-_META = ("format", "version", "task", "outcome", "design", "layout")
+_META = ("format", "version", "task", "outcome", "design", "layout", "world")
 _FILES = st.one_of(
     st.dictionaries(
         st.sampled_from([*_saved(), "other.npy", "time"]),

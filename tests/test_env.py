@@ -21,19 +21,21 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo, RescaleAction, TimeLimit
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 import lattice_gym
 from lattice_gym.design import LatticeDesign
 from lattice_gym.engines import MAX_DILATATION, EngineName, Health, Status
-from lattice_gym.env import DIVERGENCE_PENALTY, OBSERVATION_BOUND, LatticeWormEnv
+from lattice_gym.env import DIVERGENCE_PENALTY, OBSERVATION_BOUND, LatticeWormEnv, LatticeWormGoalEnv
 from lattice_gym.lattice import build_lattice
-from lattice_gym.measures import site_positions
+from lattice_gym.measures import muscle_lengths, site_positions
 from lattice_gym.muscles import advance_activation, named_layout
 from lattice_gym.reports.divergence import plan
 from lattice_gym.stability import stable_dt
 from lattice_gym.tasks import EFFORT_WEIGHT, TASKS, Peristalsis
 from lattice_gym.trajectory import Recorder
+from lattice_gym.world import Bolus, Ground, Medium, World
 
 IDS = {
     "LatticeWorm-v0": ("peristalsis", 90, 200),
@@ -41,6 +43,9 @@ IDS = {
     "LatticeWormExtension-v0": ("extension", 48, 40),
     "LatticeWormCompression-v0": ("compression", 42, 40),
     "LatticeWormBending-v0": ("bending", 90, 40),
+    "LatticeWormReach-v0": ("reach", 90, 60),
+    "LatticeWormCrawl-v0": ("crawl", 90, 200),
+    "LatticeWormTransport-v0": ("transport", 90, 200),
 }
 SMALL = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 """A lattice of three sites on each of five levels: quick to build and to step."""
@@ -141,12 +146,16 @@ def test_observations(id: str, observation: str) -> None:
     assert seen.dtype == np.float32
     assert all(step[0] in env.observation_space for step in steps)
     assert not any(np.shares_memory(a[0], b[0]) for a, b in pairwise(steps))
-    n_moving, n_action = 6 * (48 if observation == "sites" else 480), env.action_space.shape[0]
+    n_free = {"sites": 54, "nodes": 492} if env.design.base == "free" else {"sites": 48, "nodes": 480}
+    n_moving, n_action = 6 * n_free[observation], env.action_space.shape[0]
     assert seen.shape[1] == n_moving + n_action + len(env.task.bounds) + 2
     constant = np.flatnonzero(np.ptp(seen, axis=0) == 0.0) - n_moving - n_action
-    assert constant.tolist() == {"bending": [0, 1], "peristalsis": [2, 3, 4]}.get(env.task.name, [])
-    commands = np.array([env.reset()[0][n_moving + n_action :][: len(env.task.bounds)] for _ in range(5)])
-    assert np.all(np.ptp(commands, axis=0) > 0.0)
+    assert constant.tolist() == {"bending": [0, 1], "peristalsis": [2, 3, 4], "crawl": [0], "transport": [0]}.get(
+        env.task.name, []
+    )
+    commands = np.array([env.reset()[0][n_moving + n_action :][: len(env.task.bounds)] for _ in range(8)])
+    # Whoever crawls always starts on course, and what is carried in its place.
+    assert np.all(np.ptp(commands, axis=0)[: 1 if env.task.name in ("crawl", "transport") else None] > 0.0)
 
 
 def test_observation_holds_what_it_says() -> None:
@@ -159,7 +168,7 @@ def test_observation_holds_what_it_says() -> None:
     velocity = site_positions(env.lattice, env.state.velocity)
     np.testing.assert_allclose(observation[n : 2 * n], velocity[free].ravel() / 0.1, rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(observation[2 * n : 2 * n + 15][env.groups], env.activation, rtol=1e-6)
-    np.testing.assert_allclose(observation[-7:-2], env.task.observe(env.time), rtol=1e-6)
+    np.testing.assert_allclose(observation[-7:-2], env.task.observe(env.state, env.time), rtol=1e-6)
     np.testing.assert_allclose(
         observation[-2:], [np.cos(4 * np.pi * env.time), np.sin(4 * np.pi * env.time)], rtol=1e-5
     )
@@ -224,7 +233,8 @@ def test_specs_survive_json(form: str) -> None:
     """An EnvSpec made with objects or dicts, through JSON, makes an environment that behaves the same."""
     design = LatticeDesign(diameter=0.07)
     layout = named_layout("all", build_lattice(design)).switched(np.arange(90) % 3 > 0)
-    kwargs: dict[str, Any] = {"design": design, "muscles": layout}
+    world = World(medium=Medium(drag=0.01), ground=Ground(static_friction=0.7))
+    kwargs: dict[str, Any] = {"design": design, "muscles": layout, "world": world}
     if form == "dicts":
         kwargs = {name: value.to_dict() for name, value in kwargs.items()}
     env = gymnasium.make("LatticeWorm-v0", control="ring", rhythm=1.0, command={"speed": 0.1}, **kwargs)
@@ -233,7 +243,7 @@ def test_specs_survive_json(form: str) -> None:
     one, other = env.unwrapped, again.unwrapped
     assert isinstance(one, LatticeWormEnv)
     assert isinstance(other, LatticeWormEnv)
-    assert (one.design, one.layout) == (other.design, other.layout) == (design, layout)
+    assert (one.design, one.layout, one.world) == (other.design, other.layout, other.world) == (design, layout, world)
     assert one.observation_space == other.observation_space
     assert one.action_space == other.action_space
     assert _same(_episode(env, 3), _episode(again, 3))
@@ -258,6 +268,134 @@ def test_numpy_arguments() -> None:
     again = gymnasium.make(EnvSpec.from_json(same.spec.to_json()))
     assert _same(_episode(env, 2), _episode(again, 2))
     assert _same(_episode(env, 2), _episode(same, 2))
+
+
+@pytest.mark.parametrize("task", list(TASKS))
+def test_any_task_in_any_world(task: str, engine_name: EngineName) -> None:
+    """Everything at once, on either engine, with muscles as lines; deterministic, and a copy goes on as it would."""
+    world = World(medium=Medium(drag=0.01), ground=Ground(forward=0.5), bolus=Bolus(radius=0.02), lying=True)
+    design = SMALL | {"base": "free", "muscle_model": "line"}
+    command = SMALL_WAVE if task == "peristalsis" else None
+    env = LatticeWormEnv(task, design=design, world=world, engine=engine_name, control="ring", command=command)
+    first = _episode(env, 3)
+    assert all(step[0] in env.observation_space for step in first)
+    assert first[-1][4]["status"] == "ok"
+    assert _same(first, _episode(env, 3))
+    twin, action = copy.deepcopy(env), env.action_space.sample()
+    assert _same([env.step(action)], [twin.step(action)])
+
+
+def _of(rows: list[Any], name: str) -> Any:
+    return np.array([row[0][name] for row in rows])
+
+
+def test_goals() -> None:
+    """A Dict that both checkers take; any goals are rewarded as the task would, its own to the last bit."""
+    env = _env("LatticeWormReachGoal-v0", control="column")
+    assert isinstance(env, LatticeWormGoalEnv)
+    check_env(env, skip_render_check=True)
+    check_env_sb3(env, warn=False)
+    steps = _episode(env, 5)
+    assert all(step[0] in env.observation_space for step in steps)
+    assert steps[0][0]["observation"].shape == (6 * 48 + 24,)
+    np.testing.assert_allclose(steps[0][0]["achieved_goal"], 0.0, atol=1e-6)
+    achieved, desired, infos = (
+        _of(steps[1:], "achieved_goal"),
+        _of(steps[1:], "desired_goal"),
+        [s[4] for s in steps[1:]],
+    )
+    rewards = [step[1] for step in steps[1:]]
+    np.testing.assert_array_equal(env.compute_reward(achieved, desired, infos), rewards)
+    assert [env.compute_reward(a, d, i) for a, d, i in zip(achieved, desired, infos, strict=True)] == rewards
+    # Of what was reached itself the reward is its distance from rest; infos without terms leave the effort out.
+    hindsight = env.compute_reward(achieved, achieved, [{}] * 5)
+    np.testing.assert_allclose(hindsight, 0.2 * np.linalg.norm(achieved, axis=1), rtol=1e-6)
+    diverged = {"reward_terms": {"approach": 0.0, "effort": 0.0, "divergence": -DIVERGENCE_PENALTY}}
+    assert env.compute_reward(achieved[0], desired[0], diverged) == -DIVERGENCE_PENALTY
+    with pytest.raises(ValueError, match=r"^task = 'bending': has no goals; those that do: reach"):
+        LatticeWormGoalEnv("bending")
+    with pytest.raises(ValueError, match=r"^task = 'swimming': must be one of"):
+        LatticeWormGoalEnv("swimming")
+
+
+@pytest.mark.parametrize("copy_info", [False, True])
+def test_hindsight_replay(copy_info: bool) -> None:
+    """SAC learns from relabelled goals, wrapped as in training."""
+    env = gymnasium.make("LatticeWormReachGoal-v0", control="column", fidelity="fast", max_episode_steps=5)
+    model = SAC(
+        "MultiInputPolicy",
+        RescaleAction(env, np.float32(-1.0), np.float32(1.0)),
+        replay_buffer_class=HerReplayBuffer,
+        replay_buffer_kwargs={"copy_info_dict": copy_info},
+        learning_starts=10,
+        batch_size=8,
+        policy_kwargs={"net_arch": [8]},
+        buffer_size=100,
+        seed=0,
+    )
+    model.learn(20)
+    assert isinstance(model.replay_buffer, HerReplayBuffer)
+    sample = model.replay_buffer.sample(32, env=model.get_vec_normalize_env())
+    assert np.isfinite(sample.rewards.numpy()).all()
+    goals = {name: sample.next_observations[name].numpy() for name in ("achieved_goal", "desired_goal")}
+    worm = env.unwrapped
+    assert isinstance(worm, LatticeWormGoalEnv)
+    again = worm.compute_reward(**goals, info=[{}] * 32)
+    # Effort, at most a hundredth, is not in a sample.
+    np.testing.assert_allclose(sample.rewards.numpy()[:, 0], again, atol=EFFORT_WEIGHT + 1e-6)
+
+
+def test_a_worm_that_crawls_has_settled() -> None:
+    """On the ground, for good; what is observed begins at zero, and wherever it went does not matter."""
+    env = _env("LatticeWormCrawl-v0", control="ring", command={"direction": 1})
+    observation, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(observation[: 6 * 54 + 15], 0.0)
+    start = env.state
+    assert 0.0 < start.position[:, 2].min() < env.design.structure_radius
+    for _ in range(20):
+        env.step(np.zeros(15))
+    np.testing.assert_allclose(env.state.position, start.position, atol=5e-5)
+    away = env.state
+    away.position[:] += [0.3, -0.1, 0.0]
+    env._state = away
+    observation, _ = env._observe()
+    np.testing.assert_allclose(observation[: 3 * 54], 0.0, atol=1e-3)
+    np.testing.assert_allclose(observation[-2:], [1.0, -1.0], atol=1e-3)
+
+
+@pytest.mark.parametrize(("height", "direction", "held"), [(0.13, 1.0, True), (0.13, -1.0, False), (-0.02, -1.0, True)])
+def test_a_ball_that_has_left_ends_the_episode(height: float, direction: float, held: bool) -> None:
+    """By the commanded end it is delivered, by the other lost, and that costs; the next episode has it back."""
+    env = _env("LatticeWormTransport-v0", control="ring", command={"direction": direction})
+    env.reset(seed=0)
+    state = env.state
+    state.bolus_position[0, 2] = height
+    env._engine.restore(state)
+    _, reward, terminated, truncated, info = env.step(np.zeros(15))
+    assert (terminated, truncated, info["status"]) == (True, False, "ok")
+    assert info["reward_terms"]["lost"] == (0.0 if held else -5.0)
+    assert reward == sum(info["reward_terms"].values())
+    assert (info["outcome"]["held"], info["outcome"]["delivered"]) == (float(held), float(held))
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros(15))
+    observation, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(observation[-6:], 0.0)
+
+
+@pytest.mark.parametrize("control", ["muscle", "column"])
+def test_work_of_muscles(control: str) -> None:
+    """Mean tension times shortening is the work that the energy ledger has, to what a control step resolves."""
+    env = LatticeWormEnv("compression", muscles="all", control=control, energy_check=True)
+    env.reset(seed=0)
+    length, activation, work, booked = muscle_lengths(env.model, env.state.position), env.activation, 0.0, 0.0
+    for _ in range(30):
+        env.step(np.ones(env.action_space.shape))
+        now = muscle_lengths(env.model, env.state.position)
+        work += 0.5 * env.design.max_tension * float((activation + env.activation) @ (length - now))
+        length, activation = now, env.activation
+        assert env._engine.ledger is not None
+        booked += env._engine.ledger.muscle_work
+    assert work == pytest.approx(booked, rel=0.05)
 
 
 def test_rings_cannot_bend() -> None:
@@ -393,6 +531,18 @@ def test_steps_need_a_reset() -> None:
         ({"control_dt": 0.2}, r"^command: .*4 control steps"),
         ({"observation": "pixels"}, r"^observation = 'pixels': must be one of sites, nodes"),
         ({"observation": []}, r"^observation = "),
+        ({"task": "crawl", "design": LatticeDesign()}, r"^world: a worm that lies needs a free base"),
+        ({"task": "crawl", "design": LatticeDesign(), "world": World()}, r"^design.base = .*must be free"),
+        ({"task": "crawl", "command": {"direction": 0.5}}, r"^command\['direction'\] = 0.5: must be -1 or 1"),
+        ({"task": "transport", "world": {"bolus": None}}, r"^world.bolus = None: there is nothing to carry"),
+        (
+            {"task": "transport", "design": {"n_pairs": 2, "period_ratio": 1.0}},
+            r"^design: 2 pairs of rods leave no room for a ball",
+        ),
+        ({"world": {"lying": True}}, r"^world: a worm that lies needs a free base"),
+        ({"world": 7}, r"^world = 7: must be a World"),
+        ({"world": {"moon": None}}, r"^World: has no 'moon'"),
+        ({"world": {"ground": {"stiffness": -1.0}}}, r"^Ground.stiffness = -1.0"),
         ({"command": {"azimuth": 0.0}}, r"^command: peristalsis commands no 'azimuth'"),
         ({"render_mode": "human"}, r"^render_mode = 'human'"),
         ({"render_mode": 3}, r"^render_mode = 3"),
@@ -411,8 +561,26 @@ _JUNK = st.one_of(
 )  # fmt: skip
 
 
-@given(name=st.sampled_from(["task", "design", "muscles", "control", "rhythm", "engine", "dt", "allow_large_dt",
-                             "control_dt", "observation", "command", "render_mode"]), value=_JUNK)  # fmt: skip
+@given(
+    name=st.sampled_from(
+        [
+            "task",
+            "design",
+            "muscles",
+            "control",
+            "rhythm",
+            "engine",
+            "dt",
+            "allow_large_dt",
+            "control_dt",
+            "observation",
+            "command",
+            "world",
+            "render_mode",
+        ]
+    ),
+    value=_JUNK,
+)
 @settings(max_examples=150, deadline=None)
 def test_any_argument_is_taken_or_named(name: str, value: Any) -> None:
     """Whatever an argument is, it makes a working environment or a ValueError that names it."""
@@ -483,12 +651,17 @@ def test_no_episode_is_worse_than_divergence() -> None:
     """Not even the best one cut short by it, beside the worst that lasts: bounds of the terms times registered steps.
 
     Tracking is bounded by its form, a bend is at most half a turn (sideways sqrt 2 of that counts against, as a vector
-    a has |a.x| + |a.y| <= sqrt 2 |a|), and rods are stretched to the engines' limit, either way up.
+    a has |a.x| + |a.y| <= sqrt 2 |a|), and rods are stretched to the engines' limit, either way up. A target lies
+    within 3 heights of where the top rests. Nothing crawls two heights a second, ten times as fast as the gait at 3 Hz,
+    and a ball is lost once and goes no further than the height.
     """
     longest = MAX_DILATATION + 1.0
     bounds = {
         "peristalsis": (-1.0, 2.0),
         "bending": (-np.sqrt(2.0) * np.pi, np.pi),
+        "reach": (-longest - 3.0, 3.0),
+        "crawl": (-1.0, 1.0),
+        "transport": (-15.0 / 200.0, 10.0 / 200.0),
         "extension": (-longest, longest),
         "compression": (-longest, longest),
     }
@@ -514,7 +687,7 @@ def test_any_engine_failure_is_survived(monkeypatch: pytest.MonkeyPatch) -> None
     assert terminated
     assert info["status"] == "inverted (rod 4, element 2)"
     assert pickle.dumps(env.state) == state == pickle.dumps(env._engine.state)
-    assert env.task.caption(env.state.position) == ""
+    assert env.task.caption(env.state) == ""
 
 
 def test_a_run_astray_ends_the_episode() -> None:
@@ -611,7 +784,7 @@ def test_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[str] = []
     monkeypatch.setattr(env._renderer, "update", lambda *arguments: drawn.append(arguments[3]))
     env.render()
-    assert drawn == [env.task.caption(env.state.position)]
+    assert drawn == [env.task.caption(env.state)]
     assert drawn[0].startswith("strain +")
     env.close()
     env.close()

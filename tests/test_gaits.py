@@ -11,7 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lattice_gym.design import LatticeDesign
-from lattice_gym.gaits import FULL_DRIVE_AMPLITUDE, LEAD, Gait, bending_gait, gait, grouped, peristalsis_gait
+from lattice_gym.gaits import (
+    FULL_DRIVE_AMPLITUDE,
+    LEAD,
+    TASKS_WITH_GAITS,
+    Gait,
+    bending_gait,
+    carrying_gait,
+    crawling_gait,
+    gait,
+    grouped,
+    peristalsis_gait,
+)
 from lattice_gym.lattice import build_lattice
 from lattice_gym.muscles import MuscleLayout, control_groups, named_layout, tie
 
@@ -63,7 +74,7 @@ def test_peristalsis_moves_up() -> None:
 
 
 @given(
-    task=st.sampled_from(["extension", "compression", "bending", "peristalsis"]),
+    task=st.sampled_from(TASKS_WITH_GAITS),
     layout=st.sampled_from(["extension", "compression", "bending", "all"]),
     time=st.floats(0.0, 1e4),
     amplitude=st.floats(0.001, 0.5),
@@ -71,7 +82,8 @@ def test_peristalsis_moves_up() -> None:
 def test_commands_are_activations(task: str, layout: str, time: float, amplitude: float) -> None:
     """Any gait on any layout stays within [0, 1], one command a muscle."""
     muscles = named_layout(layout, LATTICE)
-    command = gait(task, LATTICE, muscles, WAVE | {"azimuth": 1.0, "amplitude": amplitude})(time)
+    given = WAVE | {"azimuth": 1.0, "radius": 0.1, "rise": -0.1, "direction": -1.0, "amplitude": amplitude}
+    command = gait(task, LATTICE, muscles, given)(time)
     assert command.shape == (len(muscles),)
     assert command.min() >= 0.0
     assert command.max() <= 1.0
@@ -114,13 +126,20 @@ def test_wrong_arguments(task: str, command: Mapping[str, float], message: str) 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 10**400, "x", None, True])
 @pytest.mark.parametrize("name", ["speed", "wavelength", "amplitude", "phase", "azimuth", "time", "lead", "ring_share",
-                                  "top_share", "sharpness"])  # fmt: skip
+                                  "top_share", "sharpness", "radius", "rise", "direction",
+                                  "frequency", "vertical_share", "start"])  # fmt: skip
 def test_numbers_must_be_finite(name: str, value: Any) -> None:
     """The error names the field, and nothing becomes NaN."""
     calls: dict[str, Callable[[], object]] = {
         "time": lambda: gait("extension", LATTICE, ALL, {})(value),
         "azimuth": lambda: gait("bending", LATTICE, ALL, {"azimuth": value}),
         "sharpness": lambda: bending_gait(LATTICE, ALL, 1.0, value),
+        "radius": lambda: gait("reach", LATTICE, ALL, {"azimuth": 0.0, "radius": value, "rise": 0.0}),
+        "direction": lambda: gait("crawl", LATTICE, ALL, {"direction": value}),
+        "vertical_share": lambda: carrying_gait(LATTICE, ALL, 1.0, vertical_share=value),
+        "start": lambda: carrying_gait(LATTICE, ALL, 1.0, start=value),
+        "frequency": lambda: crawling_gait(LATTICE, ALL, 1.0, frequency=value),
+        "rise": lambda: gait("reach", LATTICE, ALL, {"azimuth": 0.0, "radius": 0.1, "rise": value}),
     }
     with pytest.raises(ValueError, match=rf"^{name} = "):
         calls.get(name, lambda: peristalsis_gait(LATTICE, ALL, **(WAVE | {name: value})))()
@@ -129,6 +148,10 @@ def test_numbers_must_be_finite(name: str, value: Any) -> None:
 @pytest.mark.parametrize("name", ["speed", "wavelength", "amplitude"])
 def test_waves_need_a_speed_a_length_and_an_amplitude(name: str) -> None:
     """None may be 0."""
+    with pytest.raises(ValueError, match=r"^direction = 0"):
+        gait("crawl", LATTICE, ALL, {"direction": 0.0})
+    with pytest.raises(ValueError, match=r"^direction = 0"):
+        gait("transport", LATTICE, ALL, {"direction": 0.0})
     with pytest.raises(ValueError, match=rf"^{name} = 0"):
         gait("peristalsis", LATTICE, ALL, WAVE | {name: 0.0})
 

@@ -16,10 +16,14 @@ from lattice_gym.measures import (
     bend_vector,
     dilatation,
     joint_gap,
+    lodging,
+    mass_centre,
+    muscle_lengths,
     ring_radii,
     site_positions,
     straightness,
     strain,
+    top_centre,
     top_normal,
     travelling_wave,
 )
@@ -323,3 +327,47 @@ def test_a_broken_lattice_does_not_look_whole(lattice: Lattice) -> None:
     assert np.isnan(joint_gap(model, position))
     assert np.isnan(straightness(lattice, model, position))
     assert np.isnan(dilatation(model, position).min())
+
+
+@given(
+    place=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(-0.03, 0.13)),
+    turn=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+    shift=st.floats(-1.0, 1.0),
+)
+def test_lodging_moves_with_the_body(place: tuple[float, ...], turn: tuple[float, ...], shift: float) -> None:
+    """Upright it is height and distance from the axis; a rigid motion of body and point changes nothing."""
+    point, off, height = np.array(place), np.hypot(place[0], place[1]), place[2]
+    if min(abs(height), abs(height - 0.1), abs(off - 0.0375)) < 1e-9:
+        return
+    end = -1 if height < 0.0 else 1 if height > 0.1 else 0
+    expected = (np.clip(height, 0.0, 0.1), end == 0 and off > 0.0375, end)
+    rotation = np.linalg.qr(np.cross(np.eye(3), turn) + 10.0 * np.eye(3))[0]
+    rotation *= np.linalg.det(rotation)
+    rest = LATTICE.position.reshape(-1, 3)
+    for x, p in ((rest, point), (rest @ rotation.T + shift, rotation @ point + shift)):
+        found = lodging(LATTICE, x, p)
+        assert found.height == pytest.approx(expected[0], abs=1e-9)
+        assert (found.outside, found.end) == expected[1:]
+
+
+@pytest.mark.parametrize("muscle_model", ["rod", "line"])
+def test_muscle_lengths(muscle_model: str) -> None:
+    """At rest the distance between the two sites of each, and in proportion when all is blown up."""
+    lattice = build_lattice(LatticeDesign(muscle_model=muscle_model))
+    layout = named_layout("all", lattice)
+    model = build_model(lattice, layout)
+    ends = np.array([(muscle.start, muscle.end) for muscle in layout.active])
+    expected = np.linalg.norm(np.diff(lattice.site_position[ends], axis=1)[:, 0], axis=1)
+    for size in (1.0, 1.7):
+        lengths = muscle_lengths(model, size * model.rest_state().position)
+        np.testing.assert_allclose(lengths, size * expected, rtol=1e-12)
+
+
+def test_centres() -> None:
+    """Of mass and of the top ring, on the axis of the lattice at rest."""
+    model = build_model(LATTICE, named_layout("all", LATTICE))
+    rest = model.rest_state().position
+    np.testing.assert_allclose(top_centre(LATTICE, rest), [0.0, 0.0, 0.1], atol=1e-12)
+    centre = mass_centre(model, rest)
+    np.testing.assert_allclose(centre[:2], 0.0, atol=1e-12)
+    assert 0.045 < centre[2] < 0.056  # rings from level 1 up weigh on the upper half

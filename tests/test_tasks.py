@@ -3,45 +3,71 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lattice_gym.design import FloatArray, LatticeDesign
 from lattice_gym.env import LatticeWormEnv
+from lattice_gym.fidelity import FidelityName
 from lattice_gym.gaits import FULL_DRIVE_AMPLITUDE, gait
 from lattice_gym.lattice import build_lattice
-from lattice_gym.tasks import EFFORT_WEIGHT, TASKS, Peristalsis, Task, make_task
+from lattice_gym.measures import muscle_lengths
+from lattice_gym.model import RodState, build_model
+from lattice_gym.muscles import named_layout
+from lattice_gym.tasks import EFFORT_WEIGHT, EIGHT_TARGETS, TASKS, Peristalsis, Task, make_task
+from lattice_gym.world import World
 
 LATTICE = build_lattice(LatticeDesign())
-REST = LATTICE.position.reshape(-1, 3)
+MODEL = build_model(LATTICE, named_layout("all", LATTICE))
+SHAPE = LATTICE.position.reshape(-1, 3)
+
+
+def _at(position: FloatArray) -> RodState:
+    """State at rest but for the positions of the structure rods."""
+    state = MODEL.rest_state()
+    state.position[: len(position)] = position
+    return state
+
+
+REST = _at(SHAPE)
 CALM = np.zeros(90)
+CARRIER = build_model(LATTICE, named_layout("all", LATTICE), TASKS["transport"].surroundings(LATTICE))
 WAVE = {"speed": 0.1, "wavelength": 0.1, "amplitude": 0.05, "phase": 0.0}
-EPISODE = {"extension": 40, "compression": 40, "bending": 40, "peristalsis": 200}
+EPISODE = {
+    "extension": 40,
+    "compression": 40,
+    "bending": 40,
+    "peristalsis": 200,
+    "reach": 60,
+    "crawl": 200,
+    "transport": 200,
+}
+LEAST = {"reach": 0.08, "crawl": 0.03, "transport": 0.03}
+"""What gaits earn a step at least; else 0.15."""
 
 
-def _tipped(angle: float, azimuth: float) -> FloatArray:
+def _tipped(angle: float, azimuth: float) -> RodState:
     """Rest positions turned about the horizontal axis that tips the z axis towards an azimuth."""
     across, up = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
-    x, z = REST @ across, REST @ up
+    x, z = SHAPE @ across, SHAPE @ up
     turned_x, turned_z = np.cos(angle) * x + np.sin(angle) * z, np.cos(angle) * z - np.sin(angle) * x
-    tipped: FloatArray = REST + np.outer(turned_x - x, across) + np.outer(turned_z - z, up)
-    return tipped
+    return _at(SHAPE + np.outer(turned_x - x, across) + np.outer(turned_z - z, up))
 
 
-def _widened(deviation: FloatArray) -> FloatArray:
+def _widened(deviation: FloatArray) -> RodState:
     """Rest positions with levels 1 to 8 widened by these shares."""
-    width = 1.0 + np.interp(REST[:, 2] / 0.1 * 8, np.arange(9), np.concatenate([[0.0], deviation]))[:, None]
-    wide: FloatArray = REST * np.concatenate([width, width, np.ones_like(width)], axis=1)
-    return wide
+    width = 1.0 + np.interp(SHAPE[:, 2] / 0.1 * 8, np.arange(9), np.concatenate([[0.0], deviation]))[:, None]
+    return _at(SHAPE * np.concatenate([width, width, np.ones_like(width)], axis=1))
 
 
 def _play(
-    task: str, act: Callable[[LatticeWormEnv], npt.ArrayLike], **command: float
+    task: str, act: Callable[[LatticeWormEnv], npt.ArrayLike], **command: Any
 ) -> tuple[FloatArray, dict[str, Any]]:
     """Rewards of an episode and the last info."""
     env, rewards, info = LatticeWormEnv(task, command=command), [], dict[str, Any]()
@@ -49,41 +75,44 @@ def _play(
     env.action_space.seed(0)
     for _ in range(EPISODE[task]):
         _, reward, terminated, _, info = env.step(act(env))
-        assert not terminated
         rewards.append(reward)
+        if terminated:
+            assert info["outcome"].get("delivered", 0.0) == 1.0
+            break
     return np.array(rewards), info
 
 
 @pytest.fixture(params=list(TASKS))
 def task(request: pytest.FixtureRequest) -> Task:
-    """Build each task."""
-    return make_task(request.param, LATTICE, 0.05)
+    """Build each task, with its own changes to the default design."""
+    lattice = build_lattice(LatticeDesign(**TASKS[request.param].design))
+    return make_task(request.param, lattice, 0.05)
 
 
 def test_terms_have_their_names(task: Task) -> None:
     """In order; an outcome is not the reward; what is observed has its bounds; rest earns zero."""
     task.begin(np.random.default_rng(0), None)
-    terms = task.terms(REST, CALM, 0.05)
+    terms = task.terms(task.rest, CALM, 0.05)
     assert tuple(terms) == task.term_names
     assert sum(terms.values()) == pytest.approx(0.0, abs=1e-12)
-    assert task.observe(0.05).shape == (len(task.bounds),)
-    assert all(isinstance(value, float) for value in {**terms, **task.outcome(REST)}.values())
+    assert task.observe(task.rest, 0.05).shape == (len(task.bounds),)
+    assert all(isinstance(value, float) for value in {**terms, **task.outcome(task.rest)}.values())
 
 
 def test_effort_has_a_price(task: Task) -> None:
     """Every muscle fully active for nothing costs the effort alone."""
-    assert sum(task.terms(REST, np.ones(90), 0.05).values()) == pytest.approx(-EFFORT_WEIGHT)
-    assert task.terms(REST, np.full(90, 0.5), 0.05)["effort"] == pytest.approx(-0.25 * EFFORT_WEIGHT)
+    assert sum(task.terms(task.rest, np.ones(90), 0.05).values()) == pytest.approx(-EFFORT_WEIGHT)
+    assert task.terms(task.rest, np.full(90, 0.5), 0.05)["effort"] == pytest.approx(-0.25 * EFFORT_WEIGHT)
 
 
 @given(stretch=st.floats(-0.5, 1.0))
 def test_length(stretch: float) -> None:
     """Extension pays the strain, compression its opposite; the outcome is the same."""
-    position = REST * [1.0, 1.0, 1.0 + stretch]
+    state = _at(SHAPE * [1.0, 1.0, 1.0 + stretch])
     for name, sign in (("extension", 1.0), ("compression", -1.0)):
         task = make_task(name, LATTICE, 0.05)
-        assert task.terms(position, CALM, 0.0)["strain"] == pytest.approx(sign * stretch, abs=1e-12)
-        assert task.outcome(position)["strain"] == pytest.approx(stretch, abs=1e-12)
+        assert task.terms(state, CALM, 0.0)["strain"] == pytest.approx(sign * stretch, abs=1e-12)
+        assert task.outcome(state)["strain"] == pytest.approx(stretch, abs=1e-12)
 
 
 @given(angle=st.floats(0.01, 3.0), azimuth=st.floats(0.0, 6.28), command=st.floats(-6.28, 6.28))
@@ -95,7 +124,147 @@ def test_bending(angle: float, azimuth: float, command: float) -> None:
     assert terms["sideways"] == pytest.approx(-angle * abs(np.sin(azimuth - command)), abs=1e-9)
     assert outcome["bend_angle"] == pytest.approx(angle, abs=1e-9)
     assert np.cos(outcome["bend_direction"] - azimuth) == pytest.approx(1.0, abs=1e-9)
-    np.testing.assert_allclose(task.observe(0.0), [np.cos(command), np.sin(command)])
+    np.testing.assert_allclose(task.observe(REST, 0.0), [np.cos(command), np.sin(command)])
+
+
+@given(
+    moved=st.tuples(*[st.floats(-0.15, 0.15)] * 3),
+    azimuth=st.floats(-6.28, 6.28),
+    radius=st.floats(0.0, 1.5),
+    rise=st.floats(-1.0, 1.5),
+)
+def test_reach(moved: tuple[float, ...], azimuth: float, radius: float, rise: float) -> None:
+    """What is earned is how much nearer the target is, in heights, wherever the whole body goes."""
+    task = make_task("reach", LATTICE, 0.05, {"azimuth": azimuth, "radius": radius, "rise": rise}, MODEL)
+    target = 0.1 * np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), rise])
+    state, near = _at(SHAPE + moved), float(np.linalg.norm(target - moved))
+    terms, outcome = task.terms(state, CALM, 0.35), task.outcome(state)
+    assert terms["approach"] == pytest.approx((np.linalg.norm(target) - near) / 0.1, abs=1e-5)
+    assert outcome["distance"] == pytest.approx(near, abs=1e-6)
+    if abs(near - 0.003) > 1e-6:
+        assert (outcome["reached"], outcome["reach_time"]) == ((1.0, 0.35) if near < 0.003 else (0.0, 0.0))
+    np.testing.assert_allclose(task.observe(state, 0.35), np.clip((target - moved) / 0.02, -10.0, 10.0), atol=1e-4)
+
+
+def test_reach_lies_down() -> None:
+    """A target lies down with the body."""
+    lattice = build_lattice(LatticeDesign(base="free"))
+    model = build_model(lattice, named_layout("all", lattice), World(lying=True))
+    task = make_task("reach", lattice, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": -0.1}, model)
+    state = model.rest_state()
+    state.position[:] += [-0.01, 0.0, -0.02]  # along the axis, which is x now, and along what was x, which is down
+    assert task.terms(state, CALM, 0.0)["approach"] == pytest.approx(np.hypot(0.2, 0.1), abs=1e-6)
+
+
+def _crawl(**command: float) -> Task:
+    return make_task("crawl", build_lattice(LatticeDesign(**TASKS["crawl"].design)), 0.05, command)
+
+
+@given(way=st.floats(-0.05, 0.05), aside=st.floats(-0.05, 0.05), direction=st.sampled_from([-1.0, 1.0]))
+@settings(deadline=None)
+def test_crawl(way: float, aside: float, direction: float) -> None:
+    """Ten for a height along the command, nothing for what goes aside; the steps of a way add up to it."""
+    task = _crawl(direction=direction)
+    task.begin(np.random.default_rng(0), None)
+    state, total = task.rest, 0.0
+    for k in range(1, 5):
+        state = replace(task.rest, position=task.rest.position + 0.25 * k * np.array([way, aside, 0.01]))
+        total += task.terms(state, CALM, 0.05 * k)["progress"]
+    along, outcome = 10.0 * direction * way, task.outcome(state)
+    assert total == pytest.approx(10.0 * along, abs=1e-9)
+    assert outcome["speed"] == pytest.approx(60.0 * along / 0.2, abs=1e-6)
+    far = np.hypot(way, aside) > 1.01e-3
+    assert outcome["drift"] == pytest.approx(np.arctan2(abs(aside), direction * way) if far else 0.0, abs=1e-6)
+    assert outcome["cost_of_transport"] == 0.0
+    np.testing.assert_allclose(task.observe(state, 0.2), [direction, 10.0 * aside], atol=1e-9)
+
+
+def test_cost_of_transport() -> None:
+    """Every muscle a millimetre shorter under half its tension, then longer, over weight times way."""
+    task = _crawl(direction=1.0)
+    task.begin(np.random.default_rng(0), None)
+    half, length = np.full(90, 0.5), muscle_lengths(task.model, task.rest.position)
+    task.terms(task.rest, half, 0.05)
+    short = task.rest.copy()
+    for muscle in task.model.muscles:
+        rows = task.model.nodes(muscle)
+        middle = short.position[rows].mean(axis=0)
+        short.position[rows] = middle + (short.position[rows] - middle) * (1.0 - 0.001 / length[muscle - 12])
+    for state, time in ((short, 0.1), (task.rest, 0.15)):
+        task.terms(state, half, time)
+    moved = replace(task.rest, position=task.rest.position + np.array([0.02, 0.0, 0.0]))
+    task.terms(moved, half, 0.2)
+    mass = task.model.node_mass.sum()
+    assert mass == pytest.approx(0.425, rel=0.01)
+    assert task.outcome(moved)["cost_of_transport"] == pytest.approx(90 * 0.25 * 0.001 / (mass * 9.81 * 0.02), rel=1e-9)
+    assert task.caption(moved) == "+60.0 body lengths/min along +x, 0 deg off course"
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_the_crawling_gait_crawls_both_ways(direction: float) -> None:
+    """On isotropic ground, at twice what was asked for and more, and hardly off course."""
+    _, info = _play(
+        "crawl",
+        lambda env: gait("crawl", env.lattice, env.layout, env.task.command)(env.time),
+        direction=direction,
+    )
+    assert info["outcome"]["speed"] > 4.0
+    assert info["outcome"]["drift"] < np.radians(10.0)
+    assert 1.0 < info["outcome"]["cost_of_transport"] < 10.0
+
+
+@given(
+    height=st.floats(-0.02, 0.12), off=st.floats(0.0, 0.06), angle=st.floats(0.0, 6.28), up=st.sampled_from([-1.0, 1.0])
+)
+@settings(deadline=None)
+def test_transport(height: float, off: float, angle: float, up: float) -> None:
+    """Ten for a height along the command; out by the commanded end is delivered, by another way lost."""
+    task = make_task("transport", LATTICE, 0.05, {"direction": up}, CARRIER)
+    task.begin(np.random.default_rng(0), None)
+    state = task.rest.copy()
+    state.bolus_position[:] = [off * np.cos(angle), off * np.sin(angle), height]
+    if min(abs(height), abs(height - 0.1), abs(off - 0.0375)) < 1e-9:
+        return
+    terms, outcome = task.terms(state, CALM, 0.5), task.outcome(state)
+    way = up * (np.clip(height, 0.0, 0.1) - 0.05625)
+    end = np.sign(height - 0.05) if not 0.0 < height < 0.1 else 0.0
+    lost = end == -up or (end == 0.0 and off > 0.0375)
+    assert terms["progress"] == pytest.approx(100.0 * way, abs=1e-9)
+    assert terms["lost"] == (-5.0 if lost else 0.0)
+    assert outcome["distance"] == pytest.approx(way, abs=1e-9)
+    assert outcome["speed"] == pytest.approx(2.0 * way, abs=1e-9)
+    assert (outcome["held"], outcome["delivered"]) == (float(not lost), float(end == up))
+    assert task.over(state) == bool(end or lost)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+@pytest.mark.parametrize("fidelity", ["fast", "default"])
+def test_the_carrying_gait_carries_both_ways(direction: float, fidelity: FidelityName) -> None:
+    """From the middle out by the commanded end, two fifths of the height and more, on either mesh."""
+    env = LatticeWormEnv("transport", command={"direction": direction}, fidelity=fidelity)
+    env.reset(seed=0)
+    wave, info = gait("transport", env.lattice, env.layout, env.task.command), dict[str, Any]()
+    for _ in range(200):
+        _, _, terminated, _, info = env.step(wave(env.time))
+        if terminated:
+            break
+    assert info["outcome"]["delivered"] == 1.0
+    assert info["outcome"]["distance"] > 0.04
+    assert 0.01 < info["outcome"]["speed"] < 0.016
+
+
+def test_eight_targets_are_reached() -> None:
+    """To a fiftieth of the height by the hand-made gait, and within a second."""
+    azimuths = EIGHT_TARGETS["azimuth"]
+    assert isinstance(azimuths, list)
+    for azimuth in azimuths:
+        _, info = _play(
+            "reach",
+            lambda env: gait("reach", env.lattice, env.layout, env.task.command)(env.time),
+            **(dict(EIGHT_TARGETS) | {"azimuth": azimuth}),
+        )
+        assert info["outcome"]["distance"] < 0.02 * 0.1
+        assert 0.0 < info["outcome"]["reach_time"] < 1.0
 
 
 @given(share=st.floats(-1.0, 2.0), phase=st.floats(-6.0, 6.0), time=st.floats(0.0, 5.0), up=st.booleans())
@@ -190,13 +359,25 @@ def test_a_vanishing_gait_makes_no_wave(drive: float, travels: bool) -> None:
 
 def test_captions() -> None:
     """Units, and what was asked beside what came; what stands upright leans no way."""
-    assert make_task("extension", LATTICE, 0.05).caption(REST * [1.0, 1.0, 1.311]) == "strain +31.1 %"
-    assert make_task("compression", LATTICE, 0.05).caption(REST * [1.0, 1.0, 0.8]) == "strain -20.0 %"
+    assert make_task("extension", LATTICE, 0.05).caption(_at(SHAPE * [1.0, 1.0, 1.311])) == "strain +31.1 %"
+    assert make_task("compression", LATTICE, 0.05).caption(_at(SHAPE * [1.0, 1.0, 0.8])) == "strain -20.0 %"
     bending = make_task("bending", LATTICE, 0.05, {"azimuth": np.radians(-270.0)})
     tipped = _tipped(np.radians(24.6), np.radians(92.0))
     assert bending.caption(tipped) == "bend 24.6 deg towards 92 deg (asked: 90 deg)"
     assert bending.caption(_tipped(0.1, np.radians(359.7))) == "bend 5.7 deg towards 0 deg (asked: 90 deg)"
     assert bending.caption(REST) == "bend 0.0 deg (asked: 90 deg)"
+    transport = make_task("transport", LATTICE, 0.05, {"direction": 1.0}, CARRIER)
+    state = transport.rest.copy()
+    for height, end in ((0.06, ""), (0.101, ", delivered"), (-0.01, ", lost")):
+        state.bolus_position[0, 2] = height
+        transport.terms(state, CALM, 2.0)
+        way = 1e3 * (min(max(height, 0.0), 0.1) - 0.05625)
+        assert transport.caption(state) == f"{way:+.1f} mm up at {way / 2:.1f} mm/s{end}"
+    reach = make_task("reach", LATTICE, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": 0.0})
+    assert reach.caption(REST) == "20.0 mm from the target"
+    there = _at(SHAPE + np.array([0.02, 0.0, 0.0]))
+    reach.terms(there, CALM, 1.5)
+    assert reach.caption(there) == "0.0 mm from the target, reached after 1.50 s"
 
 
 @pytest.mark.parametrize("height", [0.1, 0.03, 0.07, 0.11, 0.3, 0.7, 1.3])
@@ -222,7 +403,7 @@ def test_bounds_of_commands_are_reached(height: float) -> None:
     ):
         task = make_task("peristalsis", lattice, 0.05, rest | {name: value})
         task.begin(np.random.default_rng(0), {name: value})
-        assert np.all(np.abs(task.observe(0.0).astype(np.float32)) <= np.array(task.bounds, dtype=np.float32))
+        assert np.all(np.abs(task.observe(REST, 0.0).astype(np.float32)) <= np.array(task.bounds, dtype=np.float32))
         with pytest.raises(ValueError, match=rf"^command\['{name}'\]"):
             make_task("peristalsis", lattice, 0.05, rest | {name: outwards * value})
     for azimuth in (2 * np.pi, -2 * np.pi):
@@ -256,6 +437,24 @@ def test_commands_are_drawn_within_their_ranges(task: Task) -> None:
         assert max(values) - min(values) > 0.8 * (bounds.high - bounds.low)
     task.begin(np.random.default_rng(7), None)
     assert task.command == drawn[7]
+
+
+def test_lists_are_drawn_from() -> None:
+    """Every number of them, and nothing else; the others stay as they were."""
+    free, few = make_task("bending", LATTICE, 0.05), make_task("bending", LATTICE, 0.05, {"azimuth": [0.0, 1.0, 2.0]})
+    drawn = []
+    for seed in range(30):
+        few.begin(np.random.default_rng(seed), None)
+        drawn.append(few.command["azimuth"])
+        free.begin(np.random.default_rng(seed), {"azimuth": (4.0,)})
+        assert free.command == {"azimuth": 4.0}
+    assert set(drawn) == {0.0, 1.0, 2.0}
+    hostile: list[Any] = [[], [0.0, 7.0], [[0.0]], ["north"]]
+    for wrong in hostile:
+        with pytest.raises(ValueError, match=r"^command\['azimuth'\] = "):
+            make_task("bending", LATTICE, 0.05, {"azimuth": wrong})
+    with pytest.raises(ValueError, match=r"^command: .*4 control steps"):
+        make_task("peristalsis", LATTICE, 0.05, {"speed": [0.1, 0.9]})
 
 
 def test_fixed_commands_leave_the_others_alone() -> None:
@@ -337,12 +536,12 @@ def test_slow_control_steps_cannot_follow() -> None:
 
 @pytest.mark.parametrize("name", list(TASKS))
 def test_gaits_beat_doing_nothing_and_chance(name: str) -> None:
-    """Doing nothing earns nothing, to rounding, and a gait more than random commands."""
+    """Doing nothing earns nothing, to what a ball still creeps, and a gait more than random commands."""
     nothing, _ = _play(name, lambda env: np.zeros(env.action_space.shape))
     chance, _ = _play(name, lambda env: env.action_space.sample())
     made, _ = _play(name, lambda env: gait(name, env.lattice, env.layout, env.task.command)(env.time))
-    assert np.abs(nothing).max() < 1e-6
-    assert made.mean() > 0.15
+    assert np.abs(nothing).max() < 1e-4
+    assert made.mean() > LEAST.get(name, 0.15)
     assert made.mean() > 1.4 * max(chance.mean(), 0.0)
     if name in ("bending", "peristalsis"):
         assert chance.mean() < 0.01

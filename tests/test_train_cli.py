@@ -83,7 +83,7 @@ def test_bad_settings_name_field_and_value(field: str, value: Any) -> None:
 @given(
     st.builds(
         TrainConfig,
-        task=st.sampled_from(["extension", "compression", "bending", "peristalsis"]),
+        task=st.sampled_from(["extension", "compression", "bending", "peristalsis", "reach", "crawl", "transport"]),
         fidelity=st.sampled_from(["fast", "default", "fine"]),
         seed=st.integers(0, 2**32 - 1),
         rhythm=st.none() | st.floats(0.1, 10.0),

@@ -17,6 +17,7 @@ from lattice_gym.lattice import build_lattice
 from lattice_gym.model import build_model
 from lattice_gym.muscles import MuscleLayout, horizontal, named_layout, tie
 from lattice_gym.trajectory import Recorder, Trajectory, n_nodes, replacing
+from lattice_gym.world import Bolus, World
 
 DESIGN = LatticeDesign(n_pairs=2, period_ratio=1.0, elements_per_segment=1, structure_radius=3e-3)
 LATTICE = build_lattice(DESIGN)
@@ -42,9 +43,9 @@ def example(n_frame: int = 3, **changes: Any) -> Trajectory:
 
 def assert_same(a: Trajectory, b: Trajectory) -> None:
     """Fail unless two trajectories are equal to the last bit."""
-    for name in ("time", "position", "activation", "reward"):
+    for name in ("time", "position", "bolus", "activation", "reward"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), strict=True)
-    assert (a.outcome, a.design, a.layout, a.task) == (b.outcome, b.design, b.layout, b.task)
+    assert (a.outcome, a.design, a.layout, a.task, a.world) == (b.outcome, b.design, b.layout, b.task, b.world)
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +111,7 @@ def test_file_reads_without_pickle_or_this_package(saved: tuple[Path, Trajectory
     """Plain numpy opens it."""
     with np.load(saved[0], allow_pickle=False) as members:
         assert members["position"].shape == (3, N_NODE, 3)
-        assert json.loads(members["meta"].item())["version"] == 1
+        assert json.loads(members["meta"].item())["version"] == 2
 
 
 @pytest.mark.parametrize(
@@ -130,6 +131,8 @@ def test_file_reads_without_pickle_or_this_package(saved: tuple[Path, Trajectory
         ("outcome", ("", ""), "one a frame"),
         ("outcome", ("", "", 3), "must be text"),
         ("task", None, "must be text"),
+        ("world", {}, "must be a World"),
+        ("bolus", np.zeros((3, 1, 3)), "has shape"),
     ],
 )
 def test_wrong_values_are_refused(name: str, value: Any, words: str) -> None:
@@ -178,6 +181,24 @@ def test_recorder_copies_its_frames() -> None:
     np.testing.assert_array_equal(trajectory.reward, [0, -1, -2, -3])
     assert trajectory.outcome == ("0", "1", "2", "3")
     assert trajectory.task == "bending"
+
+
+def test_a_ball_is_kept(tmp_path: Path) -> None:
+    """With the world that has one, through the file."""
+    recorder = Recorder(DESIGN, LAYOUT, "transport", World(bolus=Bolus(radius=0.01)))
+    for k in range(2):
+        recorder.append(0.1 * k, np.zeros((N_NODE, 3)), np.zeros(len(LAYOUT)), bolus=[[0.0, 0.0, 0.5 * k]])
+    with pytest.raises(ValueError, match="bolus has shape"):
+        recorder.append(0.2, np.zeros((N_NODE, 3)), np.zeros(len(LAYOUT)))
+    trajectory = recorder.build()
+    trajectory.save(tmp_path / "ball.npz")
+    again = Trajectory.load(tmp_path / "ball.npz")
+    assert_same(again, trajectory)
+    assert again.world.bolus == Bolus(radius=0.01)
+    assert again.bolus is not None
+    np.testing.assert_array_equal(again.bolus[:, 0, 2], [0.0, 0.5])
+    with pytest.raises(ValueError, match=r"^Trajectory.world = 'sea'"):
+        Recorder(DESIGN, LAYOUT, "transport", "sea")  # type: ignore[arg-type]
 
 
 def test_recorder_refuses_a_frame_of_another_shape_or_not_finite() -> None:
@@ -240,6 +261,7 @@ def edited(path: Path, **changes: Any) -> Any:
         ({"time": np.array([0.0, 2.0, 1.0])}, "increase"),
         ({"reward": np.array([0.0, np.inf, 1.0])}, "finite"),
         ({"activation": np.zeros((3, 1))}, "shape"),
+        ({"bolus": np.zeros((3, 1, 3))}, "shape"),
         ({"meta": np.array("{")}, "sound"),
         ({"meta": np.array("[" * 100_000)}, "sound"),
         ({"meta": np.array("[]")}, "meta must be"),
@@ -259,7 +281,7 @@ def test_inconsistent_members_are_refused(
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"version": 2}, "version 2"),
+        ({"version": 1}, "version 1"),
         ({"format": "song"}, "song"),
         ({"task": 3}, "task"),
         ({"outcome": "abc"}, "outcome"),
@@ -269,6 +291,9 @@ def test_inconsistent_members_are_refused(
         ({"design": '{"height": -1}'}, "height"),
         ({"design": "{}"}, "position has shape"),
         ({"layout": {}}, "layout"),
+        ({"world": {}}, "layout and world JSON text"),
+        ({"world": '{"moon": 1}'}, "moon"),
+        ({"world": '{"bolus": {}}'}, "bolus has shape"),
         ({"layout": "{}"}, "layout"),
         ({"layout": '{"muscles": [3]}'}, "muscles"),
         ({"layout": json.dumps(MuscleLayout().to_dict())}, "shape"),

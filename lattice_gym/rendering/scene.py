@@ -49,6 +49,8 @@ LINE_HEIGHT = 0.032
 NO_BREAK = "\u00a0"
 # Radius and depth of the base plate, in diameters of the worm.
 PLATE_RADIUS, PLATE_DEPTH = 0.68, 0.05
+# How far the ground is drawn beyond what is shown, in diameters of the worm.
+GROUND_MARGIN = 0.2
 
 
 def _plotter(size: list[int]) -> Any:
@@ -127,7 +129,8 @@ class Renderer:
     size
         Width and height of the pictures [pixels].
     view
-        Points that every picture shows [m], shape (n, 3); by default the worm at rest and 60 % taller.
+        Points that every picture shows [m], shape (n, 3); by default the worm at rest and 60 % taller, or, if it
+        lies, up to its height further along x either way.
     bare
         The worm fills the picture, with neither colour bar nor text.
     fine
@@ -147,8 +150,11 @@ class Renderer:
         if not (len(size) == 2 and all(isinstance(pixels, int) and 64 <= pixels <= 4096 for pixels in size)):
             raise ValueError(f"size = {size!r}: must be a width and a height, whole numbers of pixels from 64 to 4096")
         if view is None:
-            rest = lattice.position.reshape(-1, 3)
-            shown = np.concatenate([rest, rest * [1.0, 1.0, 1.6]])
+            rest = model.rest_state().position[: lattice.n_rod * lattice.n_node]
+            stretch = np.array([1.0, 1.0, 1.6])
+            ahead = np.array([lattice.design.height, 0.0, 0.0])
+            lies = not np.array_equal(rest, lattice.position.reshape(-1, 3))
+            shown = np.concatenate([rest - ahead, rest + ahead] if lies else [rest, rest * stretch])
         else:
             shown = checked("view", view, (max(1, len(np.atleast_1d(view))), 3))
         self.size, self._model = size, model
@@ -174,6 +180,8 @@ class Renderer:
         self._line = self._write("", 0.03, 0.915, LINE_HEIGHT, ("left", "top"))
         if lattice.design.base == "clamped":
             shown = np.concatenate([shown, self._add_plate(lattice.design.diameter)])
+        elif model.ground is not None:
+            shown = np.concatenate([shown, self._add_ground(shown, lattice.design.diameter)])
         self._aim(shown)
         if fine:
             reach = 0.12 * lattice.design.diameter
@@ -253,6 +261,14 @@ class Renderer:
         )
         self._plotter.add_mesh(plate, color=colours.PLATE, ambient=0.6, diffuse=0.45, specular=0.0)
         return np.asarray(plate.points, dtype=np.float64)
+
+    def _add_ground(self, points: FloatArray, diameter: float) -> FloatArray:
+        """Add a slab of the ground under what is shown; its points, shape (n, 3) [m]."""
+        margin, depth = GROUND_MARGIN * diameter, PLATE_DEPTH * diameter
+        (left, front, _), (right, back, _) = points.min(axis=0) - margin, points.max(axis=0) + margin
+        slab = extra("pyvista").Box(bounds=(left, right, front, back, -depth, 0.0))
+        self._plotter.add_mesh(slab, color=colours.PLATE, ambient=0.6, diffuse=0.45, specular=0.0)
+        return np.asarray(slab.points, dtype=np.float64)
 
     def _aim(self, points: FloatArray) -> None:
         """Bring the camera so near that the points fill the stage, seen from the fixed direction."""

@@ -50,7 +50,7 @@ def render_video(
         raise ValueError(f"fps = {fps!r}: must be at most {FASTEST_GIF:g} [pictures/s] in a GIF")
     shown, rate = _schedule(trajectory.time, fps, speed, FASTEST_GIF if animated else FASTEST)
     lattice = build_lattice(trajectory.design)
-    model = build_model(lattice, trajectory.layout)
+    model, bolus = build_model(lattice, trajectory.layout, trajectory.world), trajectory.bolus
     note = "" if speed == 1.0 else f"   [{speed:g} x real time]"
     sink = _gif if animated else _mp4
     with (
@@ -63,7 +63,11 @@ def render_video(
             if frame != last:
                 text = trajectory.outcome[frame] + note
                 picture = renderer.update(
-                    trajectory.position[frame], trajectory.activation[frame], trajectory.time[frame], text
+                    trajectory.position[frame],
+                    trajectory.activation[frame],
+                    trajectory.time[frame],
+                    text,
+                    None if bolus is None else bolus[frame],
                 )
                 last = frame
             write(picture)
