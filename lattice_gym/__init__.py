@@ -8,16 +8,20 @@ from __future__ import annotations
 
 from gymnasium.envs.registration import register
 
+from lattice_gym.adaptation import Adaptation
 from lattice_gym.design import LatticeDesign
 from lattice_gym.env import LatticeWormEnv, LatticeWormGoalEnv
 from lattice_gym.gaits import gait, grouped
+from lattice_gym.hill import Hill
 from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.muscles import Muscle, MuscleLayout, horizontal, named_layout, resolve_layout, tie, vertical
 from lattice_gym.world import Bolus, Ground, Medium, World
 
 __all__ = [
+    "Adaptation",
     "Bolus",
     "Ground",
+    "Hill",
     "Lattice",
     "LatticeDesign",
     "LatticeWormEnv",

@@ -74,7 +74,7 @@ class Flow:
     """What entered and left over some time [J]."""
 
     muscle_work: float = 0.0
-    """Work that the muscles' tension did."""
+    """Work that the muscles' tension did, as far as it acted (`hill.Hill`)."""
     load_work: float = 0.0
     """Work that point forces and torques did, and the constant force on the ball."""
     dissipated: float = 0.0

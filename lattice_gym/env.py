@@ -11,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from lattice_gym.adaptation import Adaptation
 from lattice_gym.design import TURN, FloatArray, IntArray, LatticeDesign, is_number, shown, whole_number
 from lattice_gym.engines import Engine, EngineName, Health, Splitting, make_engine
 from lattice_gym.fidelity import FidelityName, named_fidelity
+from lattice_gym.hill import Hill
 from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.measures import site_nodes
+from lattice_gym.measures import muscle_strain, site_nodes
 from lattice_gym.model import RodModel, RodState, build_model
 from lattice_gym.muscles import MuscleLayout, advance_activation, control_groups, resolve_layout
 from lattice_gym.stability import default_dt, stable_dt
@@ -88,7 +90,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     An action is the command u of first-order activation dynamics, da/dt = (u - a) / tau with the design's rise time
     where u > a and else its decay time, solved exactly over the control step. Within the step both engines take the
-    tension as linear in time, from max_tension times the activation at its start to that at its end.
+    tension as linear in time, from max_tension times the activation at its start to that at its end. With `hill` the
+    muscle's length and speed then multiply it, in every element and physics step; with `adaptation` its strength does.
 
     ## Observation space
 
@@ -101,6 +104,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | activation of each control group: its muscles share one | n_action | 1 | 0 to 1 |
     | what the task commands, see below | 0 to 7 | | |
     | with `rhythm`: cosine and sine of a clock that starts with the episode | 2 | 1 | +-1 |
+    | with an observed `adaptation`: strength of each muscle | n_muscle | that of the design | 0 to its cap |
 
     Points are the sites ("sites", each the mean of its two nodes) or all nodes of the structure rods ("nodes"), without
     those that the base holds in place: 48 sites or 480 nodes in the default design. Displacements and velocities beyond
@@ -154,10 +158,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     ## Starting state
 
-    At rest, free of stress, activations 0. In crawl and transport 3 s with slack muscles went before, in which worm and
-    ball came to rest, and displacements count from there. Only the command is random, uniform over the ranges below.
-    Numbers given as `command` are held in every episode, those in `reset(options={...})` in that one; the options win.
-    Of a list in place of a number, one is drawn for each episode.
+    At rest, free of stress, activations 0, strengths 1 unless an `adaptation` carries them. In crawl and transport 3 s
+    with slack muscles went before, in which worm and ball came to rest, and displacements count from there. Only the
+    command is random, uniform over the ranges below. Numbers given as `command` are held in every episode, those in
+    `reset(options={...})` in that one; the options win. Of a list in place of a number, one is drawn for each episode.
 
     | task | name | drawn from | may be given |
     |---|---|---|---|
@@ -187,7 +191,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ## Info
 
     After a step: `reward_terms` and `outcome` (names to floats), `status` ("ok", or what went wrong and where),
-    `clipped_actions`, `clipped_observations` (counts). After a reset: `command` (names to floats) and `status`.
+    `clipped_actions`, `clipped_observations` (counts). After a reset: `command` (names to floats) and `status`. With an
+    `adaptation` both hold `strength`, that of every active muscle over the design's, shape (n_muscle,).
 
     | task | `outcome`, which is not the reward |
     |---|---|
@@ -206,7 +211,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     The cost of transport is the muscles' work over weight (without buoyancy) times way along the command. Work is
     reckoned from the ends of control steps, mean tension times what a muscle has shortened by, and not regained where
-    it is lengthened: an upper bound of what the lattice takes, as most of it is stored and given back.
+    it is lengthened: an upper bound of what the lattice takes, as most of it is stored and given back. The tension is
+    that of the muscle's strength, before the factors of `hill`, which can only lessen the pull of one that shortens.
 
     The wave is that of the ring radii over the last two commanded periods, and 0 before two have passed; its value at
     the end of an episode is the one to report. Index, direction and speed are given only to motion that stands out of
@@ -271,6 +277,12 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         own; None: the task's own, nothing at all for most. One that lies needs a free base.
     render_mode
         None or "rgb_array".
+    adaptation
+        `adaptation.Adaptation` or its dict form: how use changes the strength of each muscle, updated after every
+        control step from its mean activation, its mean tension (before the factors of `hill`) and its strain at the
+        end. None: not at all. The default `dt` is that for the largest strength there can be.
+    hill
+        `hill.Hill` or its dict form: how the force of each muscle depends on its length and speed. None: not at all.
 
     An argument that cannot be used is a ValueError that names it. With dict forms, and with objects too, an EnvSpec
     survives JSON and makes an equal environment. NumPy numbers and arrays are taken too, but JSON knows only plain
@@ -305,6 +317,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         command: Given | None = None,
         world: World | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
+        adaptation: Adaptation | Mapping[str, Any] | None = None,
+        hill: Hill | Mapping[str, Any] | None = None,
     ) -> None:
         _check_choice("task", task, tuple(TASKS))
         _check_choice("observation", observation, OBSERVATIONS)
@@ -321,7 +335,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self.world = _world(world, TASKS[task].surroundings, self.lattice)
         if self.world.lying and self.design.base == "clamped":
             raise ValueError("world: a worm that lies needs a free base (design.base); on a clamped one it stands")
-        self.model = build_model(self.lattice, self.layout, self.world)
+        self.adaptation = Adaptation.resolve("adaptation", adaptation)
+        self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))
         self.task = make_task(task, self.lattice, self.control_dt, command, self.model)
         preferred: Splitting = "pyelastica" if engine == "pyelastica" else preset.splitting
         self.splitting: Splitting = preferred if splitting is None else splitting
@@ -337,6 +352,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self.task.rest = self._start = self._settled()
         self._point_nodes = _observed_nodes(self.model, self.lattice, observation)
         self._rest_points = self._start.position[self._point_nodes].mean(axis=1)
+        self._strength = None if self.adaptation is None else self.adaptation.untrained(self.model.n_muscle)
         n_action = int(self.groups.max()) + 1
         self.action_space = spaces.Box(0.0, 1.0, (n_action,), np.float32)
         self.observation_space = self._space(n_action)
@@ -356,6 +372,11 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return self._activation[self.groups]
 
     @property
+    def strength(self) -> FloatArray:
+        """Strength of every active muscle now, over that of the design, shape (n_muscle,)."""
+        return np.ones(self.model.n_muscle) if self._strength is None else self._strength.factor
+
+    @property
     def time(self) -> float:
         """Time since the episode began [s], at the end of the last control step, be it one that failed."""
         return self._n_step * self.control_dt
@@ -371,7 +392,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._rest()
         self._running = True
         observation, _ = self._observe()
-        return observation, {"command": dict(self.task.command), "status": OK}
+        return observation, {"command": dict(self.task.command), "status": OK} | self._strength_info()
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by `control_dt`."""
@@ -381,9 +402,17 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         design, before = self.design, self._activation
         after = advance_activation(before, command, self.control_dt, design.rise_time, design.decay_time)
         tension = design.max_tension * np.stack([before, after])[:, self.groups]
+        if self._strength is not None:
+            self.task.strength = self._strength.factor
+            tension *= self.task.strength
         health = self._engine.advance(tension, self.n_substeps)
         if health.ok:
             self._state, self._activation, self._n_step = self._engine.state, after, self._n_step + 1
+            if self.adaptation is not None and self._strength is not None:
+                active, strain = 0.5 * (before + after)[self.groups], muscle_strain(self.model, self._state.position)
+                self._strength = self.adaptation.used(
+                    self._strength, active, tension.mean(axis=0), strain, self.control_dt
+                )
             terms = self.task.terms(self._state, self.activation, self.time) | {"divergence": 0.0}
         else:
             self._engine.restore(self._state)
@@ -400,7 +429,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             "status": str(health),
             "clipped_actions": n_clipped,
             "clipped_observations": n_beyond,
-        }
+        } | self._strength_info()
         return observation, sum(terms.values()), over, False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:
@@ -439,6 +468,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         if not isinstance(allow_large_dt, bool):
             raise ValueError(f"allow_large_dt = {allow_large_dt!r}: must be True or False")
         control_dt, tension = self.control_dt, self.design.max_tension
+        tension *= 1.0 if self.adaptation is None else self.adaptation.most
         step = default_dt(self.model, control_dt, tension) if dt is None else _number("dt", dt, 0.0, control_dt, "s")
         ratio = control_dt / step
         if ratio > MAX_SUBSTEPS:
@@ -460,7 +490,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         state = self.model.rest_state()
         if self.task.settling == 0.0:
             return state
-        step = default_dt(self.model, self.task.settling, self.design.max_tension)
+        # Slack muscles damp nothing, whatever their law, and need no shorter step for it.
+        step = default_dt(replace(self.model, hill=None), self.task.settling, self.design.max_tension)
         engine = make_engine("fused", self.model, step)
         health = engine.advance(np.zeros(self.model.n_muscle), round(self.task.settling / step))
         if not health.ok:
@@ -473,6 +504,11 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._engine.restore(self._state)
         self._activation = np.zeros_like(self._activation)
         self._n_step = 0
+        if self.adaptation is not None and self._strength is not None:
+            self._strength = self.adaptation.begun(self._strength)
+
+    def _strength_info(self) -> dict[str, Any]:
+        return {} if self._strength is None else {"strength": self._strength.factor}
 
     def _command(self, action: npt.ArrayLike) -> tuple[FloatArray, int]:
         """Clipped commands, one per group, and how many were clipped."""
@@ -504,6 +540,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         if self.rhythm is not None:
             angle = TURN * self.rhythm * self.time
             parts.append(np.array([np.cos(angle), np.sin(angle)]))
+        if self.adaptation is not None and self.adaptation.observed:
+            parts.append(self.strength)
         return np.concatenate(parts).astype(np.float32), int(np.count_nonzero(bounded != moving))
 
     def _commanded(self) -> list[FloatArray]:
@@ -514,8 +552,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         n_moving = 6 * len(self._point_nodes)
         commanded = self.task.bounds if commanded is None else commanded
         bounds = np.array(commanded + (() if self.rhythm is None else (1.0, 1.0)))
-        high = np.concatenate([np.full(n_moving, OBSERVATION_BOUND), np.ones(n_action), bounds])
-        low = np.concatenate([np.full(n_moving, -OBSERVATION_BOUND), np.zeros(n_action), -bounds])
+        seen = None if self.adaptation is None or not self.adaptation.observed else self.adaptation
+        strongest = np.zeros(0) if seen is None else np.full(self.model.n_muscle, seen.most)
+        high = np.concatenate([np.full(n_moving, OBSERVATION_BOUND), np.ones(n_action), bounds, strongest])
+        low = np.concatenate([np.full(n_moving, -OBSERVATION_BOUND), np.zeros(n_action), -bounds, 0.0 * strongest])
         return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 

@@ -330,6 +330,14 @@ def dilatation(model: RodModel, position: FloatArray) -> FloatArray:
     return ratio
 
 
+def muscle_strain(model: RodModel, position: FloatArray) -> FloatArray:
+    """Length over rest length, less 1, of every muscle, shape (n_muscle,)."""
+    rods = np.add.reduceat(np.concatenate([rod.rest_length for rod in model.rods]), model.element_offset[:-1])
+    rest = np.concatenate([rods[list(model.muscles)], [line.rest_length for line in model.lines]])
+    strain: FloatArray = muscle_lengths(model, position) / rest - 1.0
+    return strain
+
+
 def straightness(lattice: Lattice, model: RodModel, position: FloatArray) -> float:
     """Chord over length of the most crooked stretch of rod, relative to rest: 1 = as at rest, less = buckled.
 

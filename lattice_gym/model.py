@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.design import MAX_ELEMENTS, FloatArray, IntArray, finite_number, real_array, shown, whole_number
+from lattice_gym.hill import Hill
 from lattice_gym.lattice import Lattice
 from lattice_gym.muscles import Muscle, MuscleLayout
 from lattice_gym.world import Ground, World
@@ -424,12 +425,15 @@ class RodModel:
     """Resistance of that fluid to motion, per speed and length of a rod or line [N s/m^2]."""
     ground: Ground | None = None
     """Plane z = 0 that bears every node at its `node_radius`, with friction on the centre line; None is none."""
+    hill: Hill | None = None
+    """How the force of all muscles depends on their length and speed."""
 
     def __post_init__(self) -> None:
         for name, kind in PARTS.items():
             _parts(name, getattr(self, name), kind)
             object.__setattr__(self, name, tuple(getattr(self, name)))
         _require(len(self.rods) > 0, "rods: at least one is needed")
+        object.__setattr__(self, "hill", Hill.resolve("hill", self.hill))
         for k, joint in enumerate(self.joints):
             self._check_index(f"joints[{k}]", joint.rod_a, joint.node_a, extra=1)
             self._check_index(f"joints[{k}]", joint.rod_b, joint.node_b, extra=1)
@@ -669,7 +673,9 @@ class RodState:
                 )
 
 
-def build_model(lattice: Lattice, layout: MuscleLayout, world: World | None = None) -> RodModel:
+def build_model(
+    lattice: Lattice, layout: MuscleLayout, world: World | None = None, *, hill: Hill | None = None
+) -> RodModel:
     """Model of a lattice worm: its structure rods first, then a rod for each active muscle of `layout`, in order.
 
     A `world` adds what surrounds it; see `World`.
@@ -706,6 +712,7 @@ def build_model(lattice: Lattice, layout: MuscleLayout, world: World | None = No
         medium_density=0.0 if medium is None else medium.density,
         medium_drag=0.0 if medium is None else medium.drag,
         ground=world.ground,
+        hill=hill,
     )
 
 

@@ -6,6 +6,8 @@ shares a and b of a velocity before and after the kick (`engines.damping_shares`
 velocity before the kick, that is (dt^2 K + 2 dt C) y = 2 M (1/b + a) y. All matrices are symmetric, so the largest
 eigenvalue decides for the whole assembly. It is found by Lanczos' iteration. A ground adds its spring and its dashpot
 to K and C as if it bore every node; its friction takes from velocities and weights are constant, which matters not.
+With `hill.Hill` factors every element of a muscle is a dashpot and a spring more, each at its steepest and under full
+tension.
 
 Left out is what forces around rest do not show: kinks of a right angle between elements, the friction of a ball, which
 its law bounds, and, with the "pyelastica" splitting, elements that spin about their rod. That step takes the gyroscopic
@@ -17,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -147,6 +149,22 @@ def _line_matrix(model: RodModel, dilatation: FloatArray, max_tension: float) ->
     return matrix
 
 
+def _muscle_ties(model: RodModel, low: IntArray, max_tension: float) -> _Ties:
+    """Ties along every element of a muscle and every line, of its tension over its length at rest [N/m].
+
+    `low` holds the first node of each element, shape (n_elem,).
+    """
+    elements = np.concatenate([np.arange(model.n_elem)[model.elements(rod)] for rod in model.muscles] or [low[:0]])
+    first, second = model.tie_nodes(model.lines)
+    place = model.rest_state().position
+    first, second = np.concatenate([low[elements], first]), np.concatenate([low[elements] + 1, second])
+    rest = np.concatenate([rod.rest_length for rod in model.rods])[elements]
+    rest = np.append(rest, [line.rest_length for line in model.lines])
+    side = place[second] - place[first]
+    along = np.einsum("ni,nj->nij", side, side) / np.sum(side**2, axis=1)[:, None, None]
+    return _Ties(first, second, max_tension / rest[:, None, None] * along)
+
+
 def _log_derivative(angle: FloatArray) -> FloatArray:
     """Change of a rotation vector with a small turn after it, shape (n, 3, 3); transposed: with one before it."""
     size = np.linalg.norm(angle, axis=1)
@@ -166,10 +184,11 @@ class _Linear:
     def __init__(self, model: RodModel, max_tension: float) -> None:
         rods = model.rods
         shortened, line_shortened = contraction(model, max_tension)
+        peak = max_tension * (1.0 if model.hill is None else model.hill.peak)
         n_elem = [rod.n_elem for rod in rods]
         e = np.repeat(shortened, n_elem)
         pull = np.zeros(model.n_rod)
-        pull[list(model.muscles)] = max_tension
+        pull[list(model.muscles)] = peak
         rest, shear, stretch, inertia = (
             np.concatenate([getattr(rod, name) for rod in rods])
             for name in ("rest_length", "shear_stiffness", "stretch_stiffness", "inertia")
@@ -196,8 +215,14 @@ class _Linear:
         dashpot = np.array([joint.damping for joint in model.joints])[:, None, None] * np.eye(3)
         self.ties: list[_Ties | _Floor] = [_ties(model, model.joints, spring)]
         if model.lines:
-            self.ties.append(_ties(model, model.lines, _line_matrix(model, line_shortened, max_tension)))
+            self.ties.append(_ties(model, model.lines, _line_matrix(model, line_shortened, peak)))
         self.dashpots: list[_Ties | _Floor] = [_ties(model, model.joints, dashpot)] if dashpot.any() else []
+        if model.hill is not None and model.n_muscle > 0:
+            spring_share, dashpot_share = model.hill.peak * model.hill.steepest_length, model.hill.steepest_speed
+            muscle = _muscle_ties(model, self.low, max_tension)
+            self.ties.append(replace(muscle, matrix=spring_share * muscle.matrix))
+            if dashpot_share * max_tension > 0.0:
+                self.dashpots.append(replace(muscle, matrix=dashpot_share * muscle.matrix))
         if model.ground is not None:
             self.ties.append(_Floor(model.ground.stiffness))
             if model.ground.damping > 0.0:

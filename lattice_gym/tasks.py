@@ -102,6 +102,8 @@ class Task(ABC):
     """Time for which the body first comes to rest in its surroundings, muscles slack [s]."""
     travels: ClassVar[bool] = False
     """Whether the body goes elsewhere: points are then observed from their mean, but for its height."""
+    strength: FloatArray | float = 1.0
+    """Strength of every muscle in the step that ends, over the design's; the environment puts it here."""
 
     def __init__(
         self, lattice: Lattice, control_dt: float, command: Given | None = None, model: RodModel | None = None
@@ -617,7 +619,7 @@ class Crawl(Task):
         centre, length = mass_centre(self.model, state.position), muscle_lengths(self.model, state.position)
         way = float(centre[0] - self.centre[0]) * self.command["direction"] / self.lattice.design.height
         # Tension is linear in time over the step, so its mean is that of its ends.
-        tension = 0.5 * self.lattice.design.max_tension * (self.activation + activation)
+        tension = 0.5 * self.lattice.design.max_tension * self.strength * (self.activation + activation)
         self.work += float(tension @ np.maximum(self.length - length, 0.0))
         self.centre, self.length, self.activation, self.time = centre, length, activation, time
         return {"progress": WAY_WEIGHT * way, "effort": _effort(activation)}

@@ -12,15 +12,19 @@ Bounds = dict[str, tuple[float, float, str]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Part:
+class Part:
     """Numbers within bounds, given by name; anything else is a ValueError that names the field."""
 
     bounds: ClassVar[Bounds]
-    """Least and largest value of every field, both included, and its unit."""
+    """Least and largest value of every number, both included, and its unit."""
+    optional: ClassVar[tuple[str, ...]] = ()
+    """Numbers that may be None."""
 
     def __post_init__(self) -> None:
         for name, (low, high, unit) in self.bounds.items():
             given = getattr(self, name)
+            if given is None and name in self.optional:
+                continue
             number = finite_number(given)
             if number is None or not low <= number <= high:
                 label = f"{type(self).__name__}.{name} = {shown(given)}"
@@ -32,14 +36,24 @@ class _Part:
         """Make it from its fields by name; those that are missing have their defaults."""
         if not isinstance(values, Mapping):
             raise ValueError(f"{cls.__name__}: must be a mapping of names to numbers, got {shown(values)}")
-        unknown = [name for name in values if name not in cls.bounds]
+        known = [item.name for item in fields(cls)]
+        unknown = [name for name in values if name not in known]
         if unknown:
-            raise ValueError(f"{cls.__name__}: has no {unknown[0]!r}; it has {', '.join(cls.bounds)}")
+            raise ValueError(f"{cls.__name__}: has no {unknown[0]!r}; it has {', '.join(known)}")
         return cls(**values)
+
+    @classmethod
+    def resolve(cls, name: str, given: object) -> Self | None:
+        """Take an object, its dict form or None; anything else is a ValueError of that name."""
+        if given is None or isinstance(given, cls):
+            return given
+        if isinstance(given, Mapping):
+            return cls.from_dict(given)
+        raise ValueError(f"{name} = {shown(given)}: must be {cls.__name__}, its dict form or None")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Medium(_Part):
+class Medium(Part):
     """Fluid at rest around the worm, under gravity along -z."""
 
     bounds: ClassVar[Bounds] = {
@@ -57,7 +71,7 @@ class Medium(_Part):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ground(_Part):
+class Ground(Part):
     """The plane z = 0, with normal contact and Coulomb friction; the defaults bear the default worm in water.
 
     It then rests at a depth of at most 5 % of a rod's radius, and the ground shortens the stable step by under 1 %.
@@ -95,7 +109,7 @@ class Ground(_Part):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bolus(_Part):
+class Bolus(Part):
     """A rigid ball inside the lattice."""
 
     bounds: ClassVar[Bounds] = {
@@ -136,11 +150,7 @@ class World:
 
     def __post_init__(self) -> None:
         for name, kind in (("medium", Medium), ("ground", Ground), ("bolus", Bolus)):
-            given = getattr(self, name)
-            if isinstance(given, Mapping):
-                object.__setattr__(self, name, kind.from_dict(given))
-            elif given is not None and not isinstance(given, kind):
-                raise ValueError(f"World.{name} = {shown(given)}: must be {kind.__name__}, its dict form or None")
+            object.__setattr__(self, name, kind.resolve(f"World.{name}", getattr(self, name)))
         if not isinstance(self.lying, bool):
             raise ValueError(f"World.lying = {shown(self.lying)}: must be True or False")
 

@@ -32,10 +32,12 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as seeded
 from hypothesis import strategies as st
 
+from lattice_gym.adaptation import Adaptation
 from lattice_gym.design import LatticeDesign
 from lattice_gym.engines import make_engine
 from lattice_gym.env import LatticeWormEnv
 from lattice_gym.gaits import gait
+from lattice_gym.hill import Hill
 from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.measures import travelling_wave
 from lattice_gym.model import Clamp, Joint, Line, PointForce, PointTorque, Rod, RodModel, build_model, straight_rod
@@ -54,7 +56,7 @@ from lattice_gym.muscles import (
 from lattice_gym.reports.__main__ import parser as reports_parser
 from lattice_gym.tasks import TASKS
 from lattice_gym.trajectory import Recorder, Trajectory
-from lattice_gym.world import Bolus, Ground, Medium, World
+from lattice_gym.world import Bolus, Ground, Medium, Part, World
 
 HANG = 30.0
 """A call that takes longer hangs [s]."""
@@ -312,10 +314,21 @@ _MUSCLE_FUNCTIONS = st.sampled_from(sorted(_MUSCLE_CALLS)).flatmap(
 
 # Environments
 
+
+def _parts_of(kind: type[Part]) -> st.SearchStrategy[dict[str, Any]]:
+    """Draw some fields of a part: in bounds, or junk."""
+
+    def value(name: str) -> st.SearchStrategy[Any]:
+        low, high, _ = kind.bounds.get(name, (0.0, 1.0, ""))
+        return st.one_of(st.floats(low, high), st.booleans(), st.sampled_from(["episode", "continuous"]), JUNK)
+
+    return st.fixed_dictionaries({}, optional={spec.name: value(spec.name) for spec in fields(kind)})
+
+
 _ENV: dict[str, Any] = {
     "task": "bending", "design": SMALL, "muscles": None, "control": "muscle", "rhythm": None, "engine": "fused",
     "dt": None, "allow_large_dt": False, "control_dt": 0.05, "observation": "sites", "command": None,
-    "render_mode": None, "energy_check": False, "world": None,
+    "render_mode": None, "energy_check": False, "world": None, "adaptation": None, "hill": None,
 }  # fmt: skip
 _ENV_VALUES: dict[str, st.SearchStrategy[Any]] = {
     "task": st.sampled_from([*TASKS, "Bending"]),
@@ -338,6 +351,8 @@ _ENV_VALUES: dict[str, st.SearchStrategy[Any]] = {
             "lying": st.one_of(JUNK, st.booleans()),
         },
     ),
+    "adaptation": _parts_of(Adaptation),
+    "hill": _parts_of(Hill),
 }
 _ENVS = st.lists(st.sampled_from(sorted(_ENV)), min_size=1, max_size=4, unique=True).flatmap(
     lambda names: st.fixed_dictionaries({name: st.one_of(JUNK, _ENV_VALUES.get(name, JUNK)) for name in names})
@@ -354,6 +369,30 @@ def make_env(call: dict[str, Any]) -> None:
     assert observation in env.observation_space, "observation out of its space"
     finite(reward, env.state.position, env.state.velocity)
     assert reward == sum(info["reward_terms"].values()), "reward terms do not sum"
+
+
+_LIVING = st.sampled_from([Adaptation, Hill]).flatmap(lambda kind: st.tuples(st.just(kind), _parts_of(kind)))
+
+
+def make_living(call: tuple[type[Part], dict[str, Any]]) -> None:
+    """Check that what is taken comes back the same from its dict form."""
+    kind, values = call
+    made = kind(**values)
+    assert kind.from_dict(json.loads(json.dumps(dataclasses.asdict(made)))) == made, "dict form differs"
+
+
+_USE: dict[str, Any] = {
+    "activation": np.full(3, 0.5), "tension": np.full(3, 2.0), "strain": np.full(3, -0.1), "duration": 0.05
+}  # fmt: skip
+_USES = damaged(_USE)
+
+
+def make_use(call: dict[str, Any]) -> None:
+    """Check that strength stays finite and in bounds, whatever the use."""
+    for mode in ("continuous", "episode"):
+        adaptation = Adaptation(strain_gain=1e6, force_gain=1e6, fatigue_rate=1.0, mode=mode, carry=True)
+        strength = adaptation.begun(adaptation.used(adaptation.untrained(3), **call)).factor
+        assert ((strength >= 0.0) & (strength <= adaptation.most)).all(), "out of bounds"
 
 
 _ACTIONS = st.one_of(
@@ -670,6 +709,8 @@ TARGETS = [
         lambda call: _MUSCLE_CALLS[call[0]][2],
     ),
     Target("LatticeWormEnv", _ENVS, make_env, lambda call: (*_ENV, *FIELDS, "LatticeDesign")),
+    Target("Adaptation and Hill", _LIVING, make_living, lambda call: (call[0].__name__,)),
+    Target("Adaptation.used", _USES, make_use, lambda call: (*call,)),
     Target("step", _ACTIONS, make_action, _fixed("action")),
     Target("reset", _RESETS, make_reset, _fixed("seed", "options")),
     Target(

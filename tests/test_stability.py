@@ -13,6 +13,7 @@ import pytest
 
 from lattice_gym.design import FloatArray, LatticeDesign
 from lattice_gym.engines import Splitting, make_engine
+from lattice_gym.hill import Hill
 from lattice_gym.lattice import build_lattice
 from lattice_gym.model import Clamp, Joint, Line, RodModel, RodState, build_model, straight_rod
 from lattice_gym.muscles import named_layout
@@ -235,6 +236,42 @@ def test_a_contracted_muscle() -> None:
     assert limit < stable_dt(model, 0.0)
     assert 0.4 * limit < stable_dt(model, stiffness) < limit
     assert contraction(model, stiffness)[0] < length
+
+
+def isometric(muscle: str, hill: Hill) -> RodModel:
+    """Make a muscle of four elements held at both ends, or two lines with a node between them."""
+    clamps = (Clamp(0, node=0, element=0), Clamp(0, node=4, element=3))
+    rod = straight_rod((0, 0, 0), (0, 0, 1), 4, **(STEEL | {"youngs_modulus": 1e4, "shear_modulus": 4e3}))
+    if muscle == "rod":
+        return RodModel(rods=(rod,), muscles=(0,), clamps=clamps, hill=hill)
+    lines = tuple(Line(0, a, 0, a + 2, 0.5, 100.0, 0.1) for a in (0, 2))
+    return RodModel(rods=(rod,), lines=lines, clamps=clamps, hill=hill)
+
+
+@pytest.mark.parametrize("splitting", ["pyelastica", "symmetric"])
+@pytest.mark.parametrize("muscle", ["rod", "line"])
+@pytest.mark.parametrize(
+    ("hill", "tension"),
+    [(Hill(max_speed=0.5), 20.0), (Hill(max_speed=5.0), 20.0),
+     (Hill(max_speed=None, width=0.02, optimal_length=1.0143), 2000.0)],
+)  # fmt: skip
+def test_the_predicted_step_is_stable(muscle: str, hill: Hill, tension: float, splitting: Splitting) -> None:
+    """Held at both ends under tension: the step found by bisection is never below the predicted one.
+
+    The last stands where the force-length curve rises most steeply, which outweighs all other stiffness.
+    """
+    model = isometric(muscle, hill)
+    measured = measured_dt(model, splitting, tension=tension)
+    predicted = stable_dt(model, tension, splitting)
+    assert 0.4 * measured < predicted < measured
+
+
+def test_a_fast_damper_shortens_the_step() -> None:
+    """The slower the muscle, the stiffer the damper; a line more than halves the step."""
+    steps = [stable_dt(isometric("line", Hill(width=None, max_speed=v)), 20.0) for v in (1e9, 1.0, 0.1, 0.01)]
+    assert steps == sorted(steps, reverse=True)
+    assert steps[3] < 0.5 * steps[0]
+    assert steps[0] == pytest.approx(stable_dt(isometric("line", Hill(width=None, max_speed=None)), 20.0), rel=0.05)
 
 
 def test_contraction() -> None:

@@ -179,9 +179,11 @@ def test_crawl(way: float, aside: float, direction: float) -> None:
     np.testing.assert_allclose(task.observe(state, 0.2), [direction, 10.0 * aside], atol=1e-9)
 
 
-def test_cost_of_transport() -> None:
+@pytest.mark.parametrize("strength", [1.0, np.linspace(0.5, 1.0, 90)])
+def test_cost_of_transport(strength: float | FloatArray) -> None:
     """Every muscle a millimetre shorter under half its tension, then longer, over weight times way."""
     task = _crawl(direction=1.0)
+    task.strength = strength
     task.begin(np.random.default_rng(0), None)
     half, length = np.full(90, 0.5), muscle_lengths(task.model, task.rest.position)
     task.terms(task.rest, half, 0.05)
@@ -196,7 +198,8 @@ def test_cost_of_transport() -> None:
     task.terms(moved, half, 0.2)
     mass = task.model.node_mass.sum()
     assert mass == pytest.approx(0.425, rel=0.01)
-    assert task.outcome(moved)["cost_of_transport"] == pytest.approx(90 * 0.25 * 0.001 / (mass * 9.81 * 0.02), rel=1e-9)
+    work = 90 * np.mean(strength) * 0.25 * 0.001
+    assert task.outcome(moved)["cost_of_transport"] == pytest.approx(work / (mass * 9.81 * 0.02), rel=1e-9)
     assert task.caption(moved) == "+60.0 body lengths/min along +x, 0 deg off course"
 
 

@@ -157,7 +157,7 @@ class Engine(ABC):
         state.check(self.model)
         self._restore(state)
         if self._meter is not None:
-            self._flow()
+            self._flow()  # A call that failed has left its sums, finite or not.
         if self._shadow is not None:
             self._shadow.restore(state)
         self._before = self._ledger = self._step_error = None

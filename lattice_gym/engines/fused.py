@@ -23,6 +23,7 @@ from lattice_gym.engines import (
     overstretched,
     torn,
 )
+from lattice_gym.hill import Hill
 from lattice_gym.model import Joint, Line, Rod, RodModel, RodState
 
 _LARGEST_RATE = 300.0
@@ -89,6 +90,20 @@ def _fill_lane(cells: kernels.Cells, lane: int, rod: Rod, dt: float) -> None:
     voronoi["rest_kappa"][:, :, lane] = rod.rest_kappa
 
 
+def _pack_hill(hill: Hill | None) -> kernels.Hill | None:
+    """Constants of the Hill factors; a factor that is absent has a 0."""
+    if hill is None:
+        return None
+    return kernels.Hill(
+        0.0 if hill.width is None else 1.0 / hill.width,
+        1.0 / hill.optimal_length,
+        0.0 if hill.max_speed is None else 1.0 / hill.max_speed,
+        1.0 / hill.curvature,
+        hill.eccentric,
+        (2.0 + 2.0 / hill.curvature) / (hill.eccentric - 1.0),
+    )
+
+
 class FusedEngine(Engine):
     """All rods of equal element count side by side in lanes; see `kernels`."""
 
@@ -111,6 +126,7 @@ class FusedEngine(Engine):
         self._pull = self._element_cell[pulled], self._element_lane[pulled], muscle_of[pulled]
         self._joints, self._joint_damping = self._pack_joints()
         self._lines = self._pack_lines()
+        self._hill = _pack_hill(model.hill)
         self._reach = joint_reach(model)
         self._loads = self._pack_loads()
         self._ground = self._pack_ground()
@@ -149,8 +165,9 @@ class FusedEngine(Engine):
     def _open_account(self) -> kernels.Account:
         """Account with nothing in it: constants of every node and element by record and lane."""
         n_cell, lanes = self._place.n_cell, kernels.LANES
-        after, before, mixed, inertia, length = np.zeros((5, n_cell, lanes))
+        after, before, mixed, inertia, length, pull = np.zeros((6, n_cell, lanes))
         velocity, omega = np.zeros((2, n_cell, 3, lanes))
+        line, line_pull = np.zeros((2, len(self.model.lines)))
         node, element = (self._node_cell, self._node_lane), (self._element_cell, self._element_lane)
         rate = self._decay()
         if not self._symmetric:
@@ -164,8 +181,8 @@ class FusedEngine(Engine):
             half * (1.0 / late - early),
         )
         inertia[element] = np.concatenate([rod.inertia for rod in self.model.rods])
-        line = np.zeros(len(self.model.lines))
-        return kernels.Account(np.zeros(3), after, before, mixed, inertia, length, velocity, omega, line)
+        moved = length, pull, velocity, omega, line, line_pull
+        return kernels.Account(np.zeros(3), after, before, mixed, inertia, *moved)
 
     def _pack_joints(self) -> tuple[kernels.Joints, FloatArray | None]:
         joints = self.model.joints
@@ -274,6 +291,7 @@ class FusedEngine(Engine):
             self._joints,
             self._joint_damping,
             self._lines,
+            self._hill,
             self._loads,
             self._ground,
             self._couples,

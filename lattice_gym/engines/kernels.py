@@ -72,6 +72,20 @@ class Lines(NamedTuple):
     rise: npt.NDArray[np.float64]
 
 
+class Hill(NamedTuple):
+    """Constants of `hill.Hill`: inverse width, optimal length, maximal speed [s] and A; M; c.
+
+    Where a factor is absent its inverse width, or its inverse speed, is 0.
+    """
+
+    inv_width: float
+    inv_optimal: float
+    inv_speed: float
+    inv_curvature: float
+    eccentric: float
+    rise: float
+
+
 class Ground(NamedTuple):
     """The plane z = 0: spring [N/m] and dashpot [N s/m] of a node, Coulomb's coefficients of friction.
 
@@ -116,9 +130,9 @@ class Account(NamedTuple):
 
     `total` is the work of the muscles and of torques, and what was dissipated [J], shape (3,). By record and lane,
     shape (n_cell, LANES): what damping takes from a node, per square of its speed after the kick (`after`) and before
-    (`before`) and per product of both (`mixed`) [kg], the inertia of an element [kg m^2], lengths of muscles at the
-    step before [m]; with components, shape (n_cell, 3, LANES): velocities and spins at the step before. `line` are the
-    lengths of lines at the step before [m], shape (n_line,).
+    (`before`) and per product of both (`mixed`) [kg], the inertia of an element [kg m^2], and of muscles the length [m]
+    and the tension that acted [N] at the moment last counted; with components, shape (n_cell, 3, LANES): velocities and
+    spins at the step before. `line` and `line_pull` are length and tension of the lines, shape (n_line,).
     """
 
     total: npt.NDArray[np.float64]
@@ -127,9 +141,11 @@ class Account(NamedTuple):
     mixed: npt.NDArray[np.float64]
     inertia: npt.NDArray[np.float64]
     length: npt.NDArray[np.float64]
+    pull: npt.NDArray[np.float64]
     velocity: npt.NDArray[np.float64]
     omega: npt.NDArray[np.float64]
     line: npt.NDArray[np.float64]
+    line_pull: npt.NDArray[np.float64]
 
 
 def compiled(function: Function) -> Function:
@@ -159,7 +175,20 @@ _LEAST_KEEP = 1e-70
 
 
 @compiled
-def _stress(pair: Cells, tension: float | None, couples: float | None) -> None:
+def _hill_factor(dilatation: float, rate: float, hill: Hill) -> float:
+    """Force-length times force-velocity of a length over rest length and its rate [1/s].
+
+    The branches for slow and fast are multiplied, as each is 1 where the other holds.
+    """
+    reach = (dilatation * hill.inv_optimal - 1.0) * hill.inv_width
+    speed = rate * hill.inv_speed
+    slow, fast = max(min(speed, 0.0), -1.0), hill.rise * max(speed, 0.0)
+    upper = (1.0 + slow) * (1.0 + hill.eccentric * fast)
+    return float(np.exp(-reach * reach) * upper / ((1.0 - slow * hill.inv_curvature) * (1.0 + fast)))
+
+
+@compiled
+def _stress(pair: Cells, tension: float | None, hill: Hill | None, couples: float | None) -> None:
     """Stretch and shear of element e: add its force to both nodes, set its torque (material frame)."""
     here, there = pair[0], pair[1]
     x0, x1, v0, v1, q, f0, f1 = here.x, there.x, here.v, there.v, here.q, here.force, there.force
@@ -186,6 +215,8 @@ def _stress(pair: Cells, tension: float | None, couples: float | None) -> None:
         s2 = (q[2, j] * n0 + q[5, j] * n1 + q[8, j] * n2) * inv_dil
         if tension is not None:
             per_length = pull[j] * inverse
+            if hill is not None:
+                per_length *= _hill_factor(dilatation[j], stretch_rate[j] * dilatation[j], hill)
             s0 += per_length * dx
             s1 += per_length * dy
             s2 += per_length * dz
@@ -472,6 +503,7 @@ def _step_blocks(
     dt: float,
     drift: float,
     tension: float | None,
+    hill: Hill | None,
     couples: float | None,
     spin_damping: float | None,
     symmetric: float | None,
@@ -487,10 +519,10 @@ def _step_blocks(
     for b in range(block.shape[0]):
         rods = cells[block[b, 0] : block[b, 1]]
         last = rods.shape[0] - 2
-        _stress(rods[0:2], tension, couples)
+        _stress(rods[0:2], tension, hill, couples)
         _move_node(rods[0], drift, loads, ground, account)
         for e in range(last):
-            _stress(rods[e + 1 : e + 3], tension, couples)
+            _stress(rods[e + 1 : e + 3], tension, hill, couples)
             _move_node(rods[e + 1], drift, loads, ground, account)
             _couple(rods[e : e + 2])
             _spin_element(rods[e : e + 2], dt, spin_damping, symmetric)
@@ -514,13 +546,18 @@ def _apply_joints(cells: Cells, joints: Joints, damping: npt.NDArray[np.float64]
 
 
 @compiled
-def _apply_lines(cells: Cells, lines: Lines) -> None:
+def _apply_lines(cells: Cells, lines: Lines, hill: Hill | None) -> None:
     """Pull each line's two nodes together by its tension and by E A (e - 1) / e, the force of a stretched rod."""
     for n in range(lines.cell_a.shape[0]):
         a, b, la, lb = cells[lines.cell_a[n]], cells[lines.cell_b[n]], lines.lane_a[n], lines.lane_b[n]
         dx, dy, dz = b.x[0, lb] - a.x[0, la], b.x[1, lb] - a.x[1, la], b.x[2, lb] - a.x[2, la]
         inverse = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
-        pull = (lines.tension[n] + lines.stiffness[n] * (1.0 - lines.rest_length[n] * inverse)) * inverse
+        tension = lines.tension[n]
+        if hill is not None:
+            du, dv, dw = b.v[0, lb] - a.v[0, la], b.v[1, lb] - a.v[1, la], b.v[2, lb] - a.v[2, la]
+            inv_rest, rate = 1.0 / lines.rest_length[n], (du * dx + dv * dy + dw * dz) * inverse
+            tension *= _hill_factor(inv_rest / inverse, rate * inv_rest, hill)
+        pull = (tension + lines.stiffness[n] * (1.0 - lines.rest_length[n] * inverse)) * inverse
         a.force[0, la] += pull * dx
         a.force[1, la] += pull * dy
         a.force[2, la] += pull * dz
@@ -641,6 +678,7 @@ def advance(
     joints: Joints,
     joint_damping: npt.NDArray[np.float64] | None,
     lines: Lines | None,
+    hill: Hill | None,
     loads: float | None,
     ground: Ground | None,
     couples: float | None,
@@ -656,9 +694,10 @@ def advance(
     `passive` and `active` (muscle) blocks are rows (first record, one past the last). What is None is compiled away.
     """
     if account is not None:
-        _open_account(cells, active, account)
+        _open_account(cells, account)
+        _muscle_work(cells, active, account, hill, False, 0.5)
         if lines is not None:
-            _line_work(cells, lines, account, 0.0)
+            _line_work(cells, lines, account, hill, False, 0.5)
     _half_drift(cells, passive, 0.5 * dt)
     _half_drift(cells, active, 0.5 * dt)
     if ball is not None:
@@ -668,26 +707,27 @@ def advance(
         drift = dt if step < n_steps - 1 else 0.5 * dt
         _apply_joints(cells, joints, joint_damping)
         if lines is not None:
-            _apply_lines(cells, lines)
+            _apply_lines(cells, lines, hill)
             if account is not None:
-                _line_work(cells, lines, account, 1.25 if step == 0 else 1.5)
+                _line_work(cells, lines, account, hill, True, 1.0)
+        if account is not None:
+            _muscle_work(cells, active, account, hill, True, 0.0)
         if ball is not None:
             _touch_all(cells, passive, active, ball)
             _move_ball(ball, drift)
             if account is not None:
                 account.total[2] += dt * ball.load[6]
-        _step_blocks(cells, passive, dt, drift, None, couples, spin_damping, symmetric, loads, ground, account)
-        _step_blocks(cells, active, dt, drift, 1.0, couples, spin_damping, symmetric, loads, ground, account)
+        _step_blocks(cells, passive, dt, drift, None, None, couples, spin_damping, symmetric, loads, ground, account)
+        _step_blocks(cells, active, dt, drift, 1.0, hill, couples, spin_damping, symmetric, loads, ground, account)
         if account is not None:
             if joint_damping is not None:
                 _joint_loss(cells, joints, joint_damping, account, dt)
-            ago = 1.25 if step == 0 else 1.5
-            _account(cells, passive, account, None, couples, spin_damping, symmetric, ground, 0.0, dt)
-            _account(cells, active, account, 1.0, couples, spin_damping, symmetric, ground, ago, dt)
+            _account(cells, passive, account, couples, spin_damping, symmetric, ground, dt)
+            _account(cells, active, account, couples, spin_damping, symmetric, ground, dt)
     if account is not None:
-        _close_account(cells, active, account)
+        _muscle_work(cells, active, account, hill, True, 0.5)
         if lines is not None:
-            _line_work(cells, lines, account, 0.75)
+            _line_work(cells, lines, account, hill, True, 0.5)
 
 
 @compiled
@@ -705,24 +745,21 @@ def _account(
     cells: Cells,
     block: npt.NDArray[np.int64],
     account: Account,
-    tension: float | None,
     couples: float | None,
     spin_damping: float | None,
     symmetric: float | None,
     ground: Ground | None,
-    ago: float,
     dt: float,
 ) -> None:
-    """Add what the step just taken did: muscle work, work of torques, dissipation.
+    """Add what the step just taken did: work of torques, dissipation.
 
-    Muscles work by the trapezoid rule on their lengths at the kicks: half of either tension times the shortening, where
-    the mean tension is `ago` rises before the one that comes next. All else works at the mean velocity of a step. A
-    damper that leaves the shares a and b of a velocity before and after the kick (`engines.damping_shares`) takes what
-    a force f does so, f (u + u') dt / 2 with u' = a b u + b f dt / m, and u' does not show:
+    Forces work at the mean velocity of a step. A damper that leaves the shares a and b of a velocity before and after
+    the kick (`engines.damping_shares`) takes what a force f does so, f (u + u') dt / 2 with u' = a b u + b f dt / m,
+    and u' does not show:
 
         m / 2 [(1/b - 1) u'^2 + (1 - a) u^2 + (1/b - a) u u']
     """
-    work, twist, lost = 0.0, 0.0, 0.0
+    twist, lost = 0.0, 0.0
     for b in range(block.shape[0]):
         first, last = block[b, 0], block[b, 1] - 1
         for n in range(first, last + 1):
@@ -739,11 +776,6 @@ def _account(
         for n in range(first, last):
             here, early = cells[n], account.omega[n]
             w, couple = here.w, here.couple
-            if tension is not None:
-                pull, rise, length, previous = here.tension, here.tension_rise, here.length, account.length[n]
-                for j in range(LANES):
-                    work += (pull[j] - ago * rise[j]) * (previous[j] - length[j])
-                    previous[j] = length[j]
             if couples is not None:
                 for i in range(3):
                     for j in range(LANES):
@@ -753,7 +785,6 @@ def _account(
             for i in range(3):
                 for j in range(LANES):
                     early[i, j] = w[i, j]
-    account.total[0] += work
     account.total[1] += twist
     account.total[2] += lost
 
@@ -780,47 +811,58 @@ def _spin_loss(
 
 
 @compiled
-def _open_account(cells: Cells, active: npt.NDArray[np.int64], account: Account) -> None:
-    """Note velocities, spins and the muscles' lengths."""
+def _open_account(cells: Cells, account: Account) -> None:
+    """Note velocities and spins."""
     for n in range(cells.shape[0]):
         v, w = cells[n].v, cells[n].w
         for i in range(3):
             for j in range(LANES):
                 account.velocity[n, i, j], account.omega[n, i, j] = v[i, j], w[i, j]
-    for b in range(active.shape[0]):
-        for n in range(active[b, 0], active[b, 1] - 1):
-            for j in range(LANES):
-                account.length[n, j] = _length(cells[n : n + 2], j)
 
 
 @compiled
-def _close_account(cells: Cells, active: npt.NDArray[np.int64], account: Account) -> None:
-    """Add the muscles' work over the last half drift."""
+def _muscle_work(
+    cells: Cells, active: npt.NDArray[np.int64], account: Account, hill: Hill | None, counts: bool, ago: float
+) -> None:
+    """Add the work of the muscle rods since the moment last counted, by the trapezoid rule; begin to count from now.
+
+    The tension now is `ago` rises before the one that comes next.
+    """
     work = 0.0
     for b in range(active.shape[0]):
         for n in range(active[b, 0], active[b, 1] - 1):
+            here, there = cells[n], cells[n + 1]
             for j in range(LANES):
-                pull = cells[n].tension[j] - 0.75 * cells[n].tension_rise[j]
-                work += pull * (account.length[n, j] - _length(cells[n : n + 2], j))
+                length, pull = _length(cells[n : n + 2], j), here.tension[j] - ago * here.tension_rise[j]
+                if hill is not None:
+                    along = 0.0
+                    for i in range(3):
+                        along += (there.v[i, j] - here.v[i, j]) * (there.x[i, j] - here.x[i, j])
+                    inv_rest = here.inv_rest[j]
+                    pull *= _hill_factor(length * inv_rest, along / length * inv_rest, hill)
+                if counts:
+                    work += 0.5 * (account.pull[n, j] + pull) * (account.length[n, j] - length)
+                account.length[n, j], account.pull[n, j] = length, pull
     account.total[0] += work
 
 
 @compiled
-def _line_work(cells: Cells, lines: Lines, account: Account, ago: float) -> None:
-    """Add the work of the lines since the lengths noted last, as `_account` does, and note their lengths now.
-
-    0 for `ago` only notes them.
-    """
+def _line_work(cells: Cells, lines: Lines, account: Account, hill: Hill | None, counts: bool, ago: float) -> None:
+    """Add the work of the lines, as `_muscle_work` does."""
     for n in range(lines.cell_a.shape[0]):
         a, b, la, lb = cells[lines.cell_a[n]], cells[lines.cell_b[n]], lines.lane_a[n], lines.lane_b[n]
-        square = 0.0
+        square, along = 0.0, 0.0
         for i in range(3):
             side = b.x[i, lb] - a.x[i, la]
             square += side * side
-        length = np.sqrt(square)
-        if ago > 0.0:
-            account.total[0] += (lines.tension[n] - ago * lines.rise[n]) * (account.line[n] - length)
-        account.line[n] = length
+            along += (b.v[i, lb] - a.v[i, la]) * side
+        length, pull = np.sqrt(square), lines.tension[n] - ago * lines.rise[n]
+        if hill is not None:
+            inv_rest = 1.0 / lines.rest_length[n]
+            pull *= _hill_factor(length * inv_rest, along / length * inv_rest, hill)
+        if counts:
+            account.total[0] += 0.5 * (account.line_pull[n] + pull) * (account.line[n] - length)
+        account.line[n], account.line_pull[n] = length, pull
 
 
 @compiled

@@ -29,6 +29,7 @@ from elastica.typing import ConnectionIndex, RigidBodyType, RodType
 from lattice_gym.design import FloatArray
 from lattice_gym.energy import Flow
 from lattice_gym.engines import MAX_DILATATION, MIN_DILATATION, Engine, Health, Status, joint_reach, overstretched, torn
+from lattice_gym.hill import Hill
 from lattice_gym.model import Ball, Rod, RodModel, RodState
 from lattice_gym.world import Ground
 
@@ -45,29 +46,54 @@ class _Assembly(BaseSystemCollection, Constraints, Connections, Forcing, Damping
     """Rods with everything a model may hold."""
 
 
+def _hill_share(hill: Hill, length: FloatArray, rate: FloatArray) -> FloatArray:
+    """Share of the tension that acts, see `hill.Hill`; length over rest length and its rate [1/s], one shape, kept."""
+    share: FloatArray = np.ones_like(length)
+    if hill.width is not None:
+        share *= np.exp(-(((length / hill.optimal_length - 1.0) / hill.width) ** 2))
+    if hill.max_speed is not None:
+        v, a, most = rate / hill.max_speed, hill.curvature, hill.eccentric
+        c = (2.0 + 2.0 / a) / (most - 1.0)
+        shortening, lengthening = np.minimum(v, 0.0), np.maximum(v, 0.0)
+        hyperbola = np.where(v <= -1.0, 0.0, (1.0 + shortening) / (1.0 - shortening / a))
+        share *= np.where(v <= 0.0, hyperbola, (1.0 + c * most * lengthening) / (1.0 + c * lengthening))
+    return share
+
+
 class _Contraction(NoForces[CosseratRod]):
     """Tension along every element of a muscle: pulls its two nodes together.
 
-    `tension` [N] has shape (1,) and belongs to the engine, which writes it before each step.
+    `tension` [N] has shape (1,) and belongs to the engine, which writes it before each step; `acting` [N], shape
+    (n_elem,), is what acted in that step.
     """
 
-    def __init__(self, tension: FloatArray) -> None:
+    def __init__(self, tension: FloatArray, acting: FloatArray, hill: Hill | None) -> None:
         super().__init__()
         self.tension = tension
+        self.acting = acting
+        self.hill = hill
 
     def apply_forces(self, system: CosseratRod, time: np.float64 = _START) -> None:
-        pull = self.tension[0] * system.tangents
+        self.acting[:] = self.tension
+        if self.hill is not None:
+            rate = np.sum(np.diff(system.velocity_collection) * system.tangents, axis=0) / system.rest_lengths
+            self.acting *= _hill_share(self.hill, system.lengths / system.rest_lengths, rate)
+        pull = self.acting * system.tangents
         system.external_forces[:, :-1] += pull
         system.external_forces[:, 1:] -= pull
 
 
 class _LineMuscle(ConnectionBase[CosseratRod]):
-    """Tension and stretch of a massless muscle between two nodes; `tension` as in `_Contraction`."""
+    """Tension and stretch of a massless muscle between two nodes; `tension` and `acting` as in `_Contraction`."""
 
-    def __init__(self, rest_length: float, stiffness: float, tension: FloatArray) -> None:
+    def __init__(
+        self, rest_length: float, stiffness: float, tension: FloatArray, acting: FloatArray, hill: Hill | None
+    ) -> None:
         self.rest_length = rest_length
         self.stiffness = stiffness
         self.tension = tension
+        self.acting = acting
+        self.hill = hill
 
     def apply_forces(
         self,
@@ -80,7 +106,12 @@ class _LineMuscle(ConnectionBase[CosseratRod]):
         side = system_two.position_collection[:, index_two] - system_one.position_collection[:, index_one]
         length = np.linalg.norm(side)
         dilatation = length / self.rest_length
-        force = (self.tension[0] + self.stiffness * (dilatation - 1.0) / dilatation) * side / length
+        self.acting[:] = self.tension
+        if self.hill is not None:
+            apart = system_two.velocity_collection[:, index_two] - system_one.velocity_collection[:, index_one]
+            rate = apart @ side / length / self.rest_length
+            self.acting *= _hill_share(self.hill, np.atleast_1d(dilatation), np.atleast_1d(rate))
+        force = (self.acting[0] + self.stiffness * (dilatation - 1.0) / dilatation) * side / length
         system_one.external_forces[:, index_one] += force
         system_two.external_forces[:, index_two] -= force
 
@@ -269,6 +300,8 @@ class PyElasticaEngine(Engine):
         self._contact_loss = np.zeros(1)
         self._ball: Sphere | None = None
         self._footing: list[_Footing] = []
+        self._n_pulled = sum(model.rods[index].n_elem for index in model.muscles)
+        self._acting = np.zeros(self._n_pulled + len(model.lines))
         self._stepper = PositionVerlet()
         self._simulator = self._assemble()
         self._reach = joint_reach(model)
@@ -282,11 +315,14 @@ class PyElasticaEngine(Engine):
             simulator.connect(rods[joint.rod_a], rods[joint.rod_b], joint.node_a, joint.node_b).using(
                 FreeJoint, k=joint.stiffness, nu=joint.damping
             )
-        for k, index in enumerate(model.muscles):
-            simulator.add_forcing_to(rods[index]).using(_Contraction, self._tension[k])
-        for line, tension in zip(model.lines, self._tension[len(model.muscles) :], strict=True):
+        counts = [model.rods[index].n_elem for index in model.muscles] + [1] * len(model.lines)
+        acting = [self._acting[end - count : end] for count, end in zip(counts, np.cumsum(counts), strict=True)]
+        for index, tension, acts in zip(model.muscles, self._tension, acting, strict=False):
+            simulator.add_forcing_to(rods[index]).using(_Contraction, tension, acts, model.hill)
+        n_rod = len(model.muscles)
+        for line, tension, acts in zip(model.lines, self._tension[n_rod:], acting[n_rod:], strict=True):
             simulator.connect(rods[line.rod_a], rods[line.rod_b], line.node_a, line.node_b).using(
-                _LineMuscle, line.rest_length, line.stiffness, tension
+                _LineMuscle, line.rest_length, line.stiffness, tension, acts, model.hill
             )
         for index, (forces, torques) in self._point_loads().items():
             simulator.add_forcing_to(rods[index]).using(_PointLoads, forces, torques)
@@ -418,7 +454,7 @@ class PyElasticaEngine(Engine):
                 self._time += self.dt
                 if before is not None:
                     length, state = before
-                    work = float(self._tension[:, 0] @ (length - self._muscle_length()))
+                    work = float(self._acting @ (length - self._muscle_length()))
                     self._gone += np.array(
                         [work, self._torque_work(state), self._loss(state) + self._ground_loss(state)]
                     )
@@ -438,8 +474,8 @@ class PyElasticaEngine(Engine):
         return flow
 
     def _muscle_length(self) -> FloatArray:
-        """Length of every muscle as its nodes stand [m], shape (n_muscle,)."""
-        rods = [np.linalg.norm(np.diff(self._rods[i].position_collection), axis=0).sum() for i in self.model.muscles]
+        """Length of every element of a muscle, then of every line, as their nodes stand [m], as `_acting`."""
+        rods = [np.linalg.norm(np.diff(self._rods[i].position_collection), axis=0) for i in self.model.muscles]
         lines = [
             np.linalg.norm(
                 self._rods[line.rod_b].position_collection[:, line.node_b]
@@ -447,7 +483,7 @@ class PyElasticaEngine(Engine):
             )
             for line in self.model.lines
         ]
-        return np.array([*rods, *lines])
+        return np.concatenate([*rods, lines])
 
     def _torque_work(self, before: RodState) -> float:
         """Work of the point torques over the step just taken [J], at the mean spin."""
@@ -518,7 +554,7 @@ class PyElasticaEngine(Engine):
             b = self._rods[joint.rod_b].position_collection[:, joint.node_b]
             if not np.linalg.norm(b - a) <= self._reach[k]:
                 return torn(self.model, k)
-        lengths = self._muscle_length()[len(self.model.muscles) :]
+        lengths = self._muscle_length()[self._n_pulled :]
         for k, (line, length) in enumerate(zip(self.model.lines, lengths, strict=True)):
             if not MIN_DILATATION <= length / line.rest_length <= MAX_DILATATION:
                 return overstretched(self.model, k)
