@@ -85,7 +85,7 @@ class TrainConfig:
     rhythm: float | None = None
     """Frequency of a clock whose sine and cosine join the observation [Hz]; none by default."""
     design: Path | None = None
-    """JSON file of a LatticeDesign; the default design if not given."""
+    """JSON file of a LatticeDesign, or of the fields that differ from the task's own; the task's own if not given."""
     muscles: str | None = None
     """Name of a muscle layout (extension, compression, bending, all) or its JSON file; the task's own if not given."""
     engine: Engine = "fused"

@@ -33,6 +33,7 @@ from lattice_gym.fidelity import FidelityName
 from lattice_gym.lattice import build_lattice
 from lattice_gym.muscles import MuscleLayout, resolve_layout
 from lattice_gym.reports.provenance import PACKAGES, provenance
+from lattice_gym.tasks import TASKS
 from lattice_gym.trajectory import replacing
 
 CONFIG = "config.json"
@@ -112,13 +113,11 @@ class Run:
         return sorted((f for f in folders if f.name.isdigit()), key=lambda folder: int(folder.name), reverse=True)
 
 
-def env_arguments(
-    config: TrainConfig, design: LatticeDesign | None, muscles: MuscleLayout | str | None
-) -> dict[str, Any]:
+def env_arguments(config: TrainConfig, design: LatticeDesign, muscles: MuscleLayout | str | None) -> dict[str, Any]:
     """JSON-safe arguments of `gymnasium.make` for a run's environment."""
     return {
         "id": f"lattice_gym:LatticeWorm{config.task.capitalize()}-v0",
-        "design": None if design is None else design.to_dict(),
+        "design": design.to_dict(),
         "muscles": muscles.to_dict() if isinstance(muscles, MuscleLayout) else muscles,
         "control": config.driven,
         "rhythm": config.rhythm,
@@ -130,8 +129,15 @@ def env_arguments(
 
 
 def requested_arguments(config: TrainConfig) -> dict[str, Any]:
-    """Environment arguments of a new run, with the design and muscles that the settings name."""
-    design = None if config.design is None else read_file(config.design, _parse_design)
+    """Environment arguments of a new run, with the design and muscles that the settings name.
+
+    A design file changes the task's own design, by field.
+    """
+    own = TASKS[config.task].design
+    if config.design is None:
+        design = LatticeDesign.from_dict(own)
+    else:
+        design = read_file(config.design, lambda file: LatticeDesign.from_dict({**own, **_parse_json(file)}))
     muscles: MuscleLayout | str | None = config.muscles
     if config.muscles is not None and config.muscles.endswith(".json"):
         muscles = read_file(Path(config.muscles), lambda file: MuscleLayout.from_dict(_parse_json(file)))

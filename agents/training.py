@@ -25,7 +25,6 @@ from agents.command_line import LINE_EVERY, Stopped, on_signal
 from agents.config import InputError, TrainConfig
 from agents.environments import make_env, make_vector_env
 from agents.run_folder import Run, read_file
-from lattice_gym.design import LatticeDesign
 from lattice_gym.trajectory import replacing
 
 _DIVERGED = "worm/diverged_episodes"
@@ -86,7 +85,7 @@ def create_run(config: TrainConfig) -> Run:
     worm: Any = env.unwrapped
     env.close()
     # As it was given: the worm's own has the mesh of the fidelity, from which another one could not tell this.
-    design = arguments["design"] or LatticeDesign().to_dict()
+    design = arguments["design"]
     with replacing(path) as unfinished:
         run_folder.write_json(unfinished / run_folder.DESIGN, design)
         run_folder.write_json(unfinished / run_folder.MUSCLES, worm.layout.to_dict())

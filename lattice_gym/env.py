@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any, get_args
 
 import gymnasium
@@ -22,7 +22,7 @@ from lattice_gym.model import RodModel, RodState, build_model
 from lattice_gym.muscles import MuscleLayout, advance_activation, control_groups, resolve_layout
 from lattice_gym.stability import default_dt, stable_dt
 from lattice_gym.tasks import COMMAND_BOUND, TASKS, Given, GoalTask, make_task
-from lattice_gym.world import World
+from lattice_gym.world import Part, World
 
 if TYPE_CHECKING:
     from lattice_gym.rendering import Renderer
@@ -46,6 +46,12 @@ MAX_SUBSTEPS = 1_000_000
 """More physics steps than this in one control step are a slip in dt, not a wish."""
 DIVISION_TOLERANCE = 1e-9
 """A control step is a whole number of physics steps if that many differ from it by no more than this share."""
+SETTLING_SPAN, LONGEST_SETTLING = 0.5, 30.0
+"""How often, while worm and ball settle, it is looked whether they are at rest; when that ends at the latest [s]."""
+QUIET, AT_REST = 1e-4, 1e-3
+"""Largest speed of a node or ball at which settling ends, and at which an episode may start at all [heights / s].
+
+Doing nothing in the tasks' own worlds then earns less than 0.0001 a step."""
 OK = str(Health())
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20.0}
 
@@ -109,7 +115,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     Points are the sites ("sites", each the mean of its two nodes) or all nodes of the structure rods ("nodes"), without
     those that the base holds in place: 48 sites or 480 nodes in the default design. Displacements and velocities beyond
     their bound are clipped to it and counted in `info["clipped_observations"]`; in the default design none come near.
-    Of a worm that crawls, displacements in x and y are less their mean over the points.
+    Of a worm that crawls, displacements in x and y are less their mean over the points. A ball is observed in transport
+    only, and its spin never.
 
     | task | what it commands | bound |
     |---|---|---|
@@ -129,7 +136,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ## Rewards
 
     The reward is the sum of `info["reward_terms"]`, in their order, to the last bit. Doing nothing earns nothing;
-    in crawl and transport, where worm and ball still creep, less than 0.0001 a step.
+    in crawl and transport, where worm and ball still creep, less than 0.0001 a step in their own worlds.
 
     | task | term | value at the end of the control step |
     |---|---|---|
@@ -158,10 +165,12 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     ## Starting state
 
-    At rest, free of stress, activations 0, strengths 1 unless an `adaptation` carries them. In crawl and transport 3 s
-    with slack muscles went before, in which worm and ball came to rest, and displacements count from there. Only the
-    command is random, uniform over the ranges below. Numbers given as `command` are held in every episode, those in
-    `reset(options={...})` in that one; the options win. Of a list in place of a number, one is drawn for each episode.
+    At rest, free of stress, activations 0, strengths 1 unless an `adaptation` carries them. In crawl and transport worm
+    and ball came to rest first, with slack muscles, and displacements count from there: until none of their points was
+    faster than 0.0001 heights a second, for 30 s at most. What is then faster than 0.001, or has left the body, is a
+    ValueError. In other tasks a worm with weight sags from the start, and that counts. Only the command is random,
+    uniform over the ranges below. Numbers given as `command` are held in every episode, those in `reset(options={...})`
+    in that one; the options win. Of a list in place of a number, one is drawn for each episode.
 
     | task | name | drawn from | may be given |
     |---|---|---|---|
@@ -209,10 +218,11 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | transport | `distance` of the ball along the command [m], `speed`: that over time [m/s] |
     | transport | `held`: 0 once it is lost, else 1; `delivered`: 1 once it left by the commanded end, else 0 |
 
-    The cost of transport is the muscles' work over weight (without buoyancy) times way along the command. Work is
-    reckoned from the ends of control steps, mean tension times what a muscle has shortened by, and not regained where
-    it is lengthened: an upper bound of what the lattice takes, as most of it is stored and given back. The tension is
-    that of the muscle's strength, before the factors of `hill`, which can only lessen the pull of one that shortens.
+    The cost of transport is the muscles' positive work over weight (without buoyancy) times way along the command. Work
+    is reckoned from the ends of control steps: mean tension times what a muscle has shortened by, and nothing where it
+    was lengthened. It bounds nothing: the net work is far less, as most is stored and given back, and positive work
+    summed over physics steps up to 40 % more. The tension is that of the muscle's strength, before the factors of
+    `hill`, which can only lessen the pull of one that shortens.
 
     The wave is that of the ring radii over the last two commanded periods, and 0 before two have passed; its value at
     the end of an episode is the one to report. Index, direction and speed are given only to motion that stands out of
@@ -228,8 +238,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     Errors are the largest at any time, over the largest change, against vanishing elements. Of them the time step makes
     0.01 % or less with "symmetric". The return is that of a hand-made gait over an episode, against "fine": mean over
-    the tasks (and worst). The cost is computing per simulated second on the fused engine.
-    `python -m lattice_gym.reports work-precision` measured all of it, on the default design.
+    extension, compression, bending and peristalsis (and worst). The cost is computing per simulated second on the fused
+    engine. `python -m lattice_gym.reports work-precision` measured all of it, on the default design.
 
     Train on "fast", which is three times cheaper than "default", and measure what is to be reported on "default" or
     "fine": sites, and so observations, are the same on all. With `observation="nodes"` they are not. A mesh that a
@@ -274,7 +284,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         Commanded numbers, by name, to hold in every episode, or lists to draw one from for each.
     world
         Medium, ground and bolus around the worm and whether it lies: a World, or a dict of what differs from the task's
-        own; None: the task's own, nothing at all for most. One that lies needs a free base.
+        own; None: the task's own, nothing at all for most. A part given as a dict changes the task's own part, or where
+        that has none the default one; an object replaces it, None takes it away. One that lies needs a free base, crawl
+        lies on a ground under gravity, and in crawl and transport worm and ball must come to rest in it.
     render_mode
         None or "rgb_array".
     adaptation
@@ -488,16 +500,30 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     def _settled(self) -> RodState:
         """State in which an episode starts, at rest: that of the model, after it has settled in its surroundings."""
         state = self.model.rest_state()
-        if self.task.settling == 0.0:
+        if not self.task.settles:
             return state
         # Slack muscles damp nothing, whatever their law, and need no shorter step for it.
-        step = default_dt(replace(self.model, hill=None), self.task.settling, self.design.max_tension)
-        engine = make_engine("fused", self.model, step)
-        health = engine.advance(np.zeros(self.model.n_muscle), round(self.task.settling / step))
-        if not health.ok:
-            raise ValueError(f"world: the worm does not come to rest in it: {health}")
-        now = engine.state
-        return replace(state, position=now.position, directors=now.directors, bolus_position=now.bolus_position)
+        step = default_dt(replace(self.model, hill=None), SETTLING_SPAN, self.design.max_tension)
+        engine, start, now, speed = make_engine("fused", self.model, step), state, state, np.inf
+        for _ in range(round(LONGEST_SETTLING / SETTLING_SPAN)):
+            health, before = engine.advance(np.zeros(self.model.n_muscle), round(SETTLING_SPAN / step)), now
+            if not health.ok:
+                raise ValueError(f"world: worm and ball do not come to rest in it: {health}")
+            now = engine.state
+            speed = _speed(before, now) / self.design.height
+            start = replace(state, position=now.position, directors=now.directors, bolus_position=now.bolus_position)
+            if speed <= QUIET or self.task.over(start):
+                break
+        if self.task.over(start):
+            raise ValueError(
+                f"world: {self.task.name} is over before it starts: while worm and ball come to rest in it"
+            )
+        if not speed <= AT_REST:
+            raise ValueError(
+                f"world: worm and ball do not come to rest in it: after {LONGEST_SETTLING:g} s their largest speed is "
+                f"{speed:.3g} heights a second; must be at most {AT_REST:g}"
+            )
+        return start
 
     def _rest(self) -> None:
         self._state = self._start.copy()
@@ -565,6 +591,9 @@ class LatticeWormGoalEnv(LatticeWormEnv):
     Its observation is a Dict: "observation" is that of `LatticeWormEnv` without what the task commands, "achieved_goal"
     and "desired_goal" are Boxes. Goals of reach are the displacement of the top's centre from rest (x, y, z), in units
     of 0.2 height, within +-10. All else is as in `LatticeWormEnv`; `LatticeWormReachGoal-v0` is its id.
+
+    Give a `HerReplayBuffer` `copy_info_dict=True`: without infos `compute_reward` knows neither effort nor divergence,
+    and a relabelled transition that diverged is paid its plain approach instead of the penalty.
     """
 
     def __init__(self, task: str = "reach", **arguments: Any) -> None:
@@ -578,16 +607,19 @@ class LatticeWormGoalEnv(LatticeWormEnv):
     ) -> float | FloatArray:
         """Reward of a step with these goals: exactly that of `step` where they are its own.
 
-        Goals of shape (n_goal,) and the `info` of the step give a float; (n, n_goal) and n infos give shape (n,). The
-        terms that goals do not decide are taken from `reward_terms`; infos without it count the goals alone.
+        Goals of shape (n_goal,) and the `info` of the step give a float; (n, n_goal) and n infos, or one for all, give
+        shape (n,). The terms that goals do not decide are taken from `reward_terms`; infos without it, and None, count
+        the goals alone.
         """
-        single, own = isinstance(info, Mapping), self._goal_task.goal_term
-        reward = self._goal_task.goal_reward(achieved_goal, desired_goal)
-        terms = [entry.get("reward_terms", {}) for entry in ([info] if single else info)]
-        others = np.array([sum(value for name, value in entry.items() if name != own) for entry in terms])
-        diverged = np.array([entry.get("divergence", 0.0) != 0.0 for entry in terms])
+        own, reward = self._goal_task.goal_term, self._goal_task.goal_reward(achieved_goal, desired_goal)
+        single = np.ndim(reward) == 0
+        terms = [entry.get("reward_terms", {}) for entry in _infos(info, np.size(reward))]
+        others = np.array([float(sum(value for name, value in entry.items() if name != own)) for entry in terms])
+        diverged = np.array([entry.get("divergence", 0.0) != 0.0 for entry in terms], dtype=bool)
+        if len(terms) > 1:
+            others, diverged = others.reshape(np.shape(reward)), diverged.reshape(np.shape(reward))
         total: FloatArray = np.where(diverged, others, reward + others)
-        return float(total[0]) if single else total
+        return float(total.item()) if single else total
 
     @property
     def _goal_task(self) -> GoalTask:
@@ -606,6 +638,20 @@ class LatticeWormGoalEnv(LatticeWormEnv):
         goal = spaces.Box(-COMMAND_BOUND, COMMAND_BOUND, (self._goal_task.n_goal,), np.float32)
         flat = super()._space(n_action, ())
         return spaces.Dict({"observation": flat, "achieved_goal": goal, "desired_goal": goal})
+
+
+def _infos(info: Any, count: int) -> list[Mapping[str, Any]]:
+    """One info for each goal, or one for all; None is one that says nothing."""
+    try:
+        given = [info] if info is None or isinstance(info, Mapping) else list(info)
+    except TypeError:
+        given = [info]
+    infos: list[Mapping[str, Any]] = [{} if entry is None else entry for entry in given]
+    if not all(isinstance(entry, Mapping) for entry in infos):
+        raise ValueError(f"info = {shown(info)}: must be a mapping, None or a sequence of them")
+    if len(infos) != count and not isinstance(info, Mapping | None):
+        raise ValueError(f"info: must be one mapping, or as many as there are goals, {count}, got {len(infos)}")
+    return infos
 
 
 def _check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
@@ -632,8 +678,19 @@ def _world(world: object, own: Callable[[Lattice], World], lattice: Lattice) -> 
     if isinstance(world, World):
         return world
     if world is None or isinstance(world, Mapping):
-        return own(lattice) if not world else World.from_dict({**own(lattice).to_dict(), **world})
+        given, around = dict(world or {}), own(lattice)
+        for name, part in vars(around).items():
+            if isinstance(part, Part) and isinstance(given.get(name), Mapping):
+                given[name] = {**asdict(part), **given[name]}
+        return World.from_dict({**vars(around), **given})
     raise ValueError(f"world = {shown(world)}: must be a World, its dict form or None")
+
+
+def _speed(before: RodState, now: RodState) -> float:
+    """Largest speed of a node or ball [m/s]: that of now or the mean since a state SETTLING_SPAN ago."""
+    nodes = now.velocity, (now.position - before.position) / SETTLING_SPAN
+    balls = now.bolus_velocity, (now.bolus_position - before.bolus_position) / SETTLING_SPAN
+    return max(float(np.linalg.norm(part, axis=1).max(initial=0.0)) for part in (*nodes, *balls))
 
 
 def _observed_nodes(model: RodModel, lattice: Lattice, observation: str) -> IntArray:

@@ -678,10 +678,12 @@ def build_model(
 ) -> RodModel:
     """Model of a lattice worm: its structure rods first, then a rod for each active muscle of `layout`, in order.
 
-    A `world` adds what surrounds it; see `World`.
+    A `world` adds what surrounds it; see `World`. With muscles as lines, which touch nothing, there can be no bolus.
     """
     design, world = lattice.design, World() if world is None else world
     medium = world.medium
+    if world.bolus is not None and design.muscle_model == "line":
+        raise ValueError('design.muscle_model = "line": world.bolus needs muscles as rods, as lines touch nothing')
     structure = [
         Rod(
             position=lattice.position[i],

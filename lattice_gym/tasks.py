@@ -98,8 +98,8 @@ class Task(ABC):
     """Sizes that what it adds to the observation stays within, one a number."""
     design: ClassVar[Mapping[str, Any]] = {}
     """Its own changes to the default design."""
-    settling: ClassVar[float] = 0.0
-    """Time for which the body first comes to rest in its surroundings, muscles slack [s]."""
+    settles: ClassVar[bool] = False
+    """Whether worm and ball come to rest in their surroundings, muscles slack, before the first episode."""
     travels: ClassVar[bool] = False
     """Whether the body goes elsewhere: points are then observed from their mean, but for its height."""
     strength: FloatArray | float = 1.0
@@ -581,7 +581,7 @@ class Crawl(Task):
     term_names = ("progress", "effort")
     bounds = (1.0, COMMAND_BOUND)
     design: ClassVar[Mapping[str, Any]] = {"base": "free", "damping": 0.003}
-    settling = 3.0
+    settles = True
     travels = True
 
     LEAST_WAY: ClassVar[float] = 0.01
@@ -595,6 +595,13 @@ class Crawl(Task):
     def _prepare(self) -> None:
         if self.lattice.design.base == "clamped":
             raise ValueError('design.base = "clamped": a worm that crawls must be free')
+        if self.model.ground is None:
+            raise ValueError("world.ground = None: there is nothing to crawl on")
+        if self.model.gravity is None or not self.model.gravity.any():
+            raise ValueError("world.medium: has no gravity; a worm that crawls must lie on the ground by its weight")
+        body = self.model.rods[0].position
+        if not np.allclose(np.diff(body[:, 0]), np.diff(self.lattice.position[0, :, 2])):
+            raise ValueError("world.lying = False: a worm that crawls must lie")
         self._begin()
 
     def _begin(self) -> None:
@@ -662,7 +669,7 @@ class Transport(Task):
     term_names = ("progress", "lost", "effort")
     bounds = (1.0, *(COMMAND_BOUND,) * 6)
     design: ClassVar[Mapping[str, Any]] = {"max_tension": 1.0}
-    settling = 3.0
+    settles = True
 
     LOST: ClassVar[float] = 5.0
     """Price of losing the ball: as much as it can gain, half a height."""

@@ -75,6 +75,8 @@ class Ground(Part):
     """The plane z = 0, with normal contact and Coulomb friction; the defaults bear the default worm in water.
 
     It then rests at a depth of at most 5 % of a rod's radius, and the ground shortens the stable step by under 1 %.
+    Forward, backward and sideways are along the world's x and y, where the body axis of a worm that lies is at rest:
+    they do not turn with a worm that yaws.
     """
 
     bounds: ClassVar[Bounds] = {
@@ -97,7 +99,7 @@ class Ground(Part):
     forward: float = 1.0
     backward: float = 1.0
     sideways: float = 1.0
-    """Factors on both coefficients for slip along +x, along -x and across: all 1 is isotropic."""
+    """Factors on both coefficients for slip along +x, along -x and along y, of the world: all 1 is isotropic."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -110,7 +112,7 @@ class Ground(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class Bolus(Part):
-    """A rigid ball inside the lattice."""
+    """A rigid ball inside the lattice, whose muscles must then be rods: lines touch nothing."""
 
     bounds: ClassVar[Bounds] = {
         "radius": (1e-4, 10.0, "m"),
@@ -135,7 +137,11 @@ class Bolus(Part):
     friction: float = 0.3
     """Friction over normal force."""
     slip_speed: float = 1e-3
-    """Speed of slip at which friction reaches its full size [m/s]."""
+    """Speed of slip at which friction reaches its full size [m/s], at least.
+
+    Where many contacts or long steps would make friction unstable it is raised, at the default step to a few mm/s. A
+    ball that friction alone holds therefore creeps, the less the shorter `dt`.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)

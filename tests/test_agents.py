@@ -436,6 +436,19 @@ def test_outcomes_are_judged_by_what_was_asked(
     assert outcome_errors(task, command, outcome) == pytest.approx(expected)
 
 
+def test_a_design_file_changes_the_tasks_own(tmp_path: Path) -> None:
+    """Field by field; a file that holds them all replaces it, and what does not fit the task is refused."""
+    file = tmp_path / "design.json"
+    file.write_text(json.dumps({"diameter": 0.07}))
+    arguments = run_folder.requested_arguments(replace(TINY, task="crawl", design=file))
+    assert LatticeDesign(**arguments["design"]) == LatticeDesign(**TASKS["crawl"].design, diameter=0.07)
+    file.write_text(LatticeDesign().to_json())
+    arguments = run_folder.requested_arguments(replace(TINY, task="crawl", design=file))
+    assert LatticeDesign(**arguments["design"]) == LatticeDesign()
+    with pytest.raises(InputError, match="needs a free base"):
+        make_env(arguments)
+
+
 @pytest.mark.parametrize("task", ["reach", "crawl", "transport"])
 def test_new_worlds_are_learned_in(task: Task, tmp_path: Path) -> None:
     """A short run learns, is evaluated beside the gait, and is filmed with what surrounds the worm."""
@@ -451,6 +464,8 @@ def test_new_worlds_are_learned_in(task: Task, tmp_path: Path) -> None:
         }[task]
     )
     assert scores["gait"].return_mean > max(scores["nothing"].return_mean, 0.0)
+    design = json.loads((run.path / "design.json").read_text())
+    assert LatticeDesign.from_dict(design) == LatticeDesign(**TASKS[task].design)
     trajectory = record(run, "gait")
     assert trajectory.world == TASKS[task].surroundings(build_lattice(trajectory.design))
     assert trajectory.bolus is not None

@@ -20,6 +20,7 @@ from lattice_gym.design import FloatArray, LatticeDesign
 from lattice_gym.engines import STEP_TOLERANCE, Engine, EngineName, Health, Splitting, Status, make_engine
 from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.model import (
+    Ball,
     Clamp,
     Joint,
     Line,
@@ -482,3 +483,16 @@ def test_unknown_engine(lattice: Lattice) -> None:
     model, name = build_model(lattice, named_layout("extension", lattice)), cast(EngineName, "warp")
     with pytest.raises(ValueError, match="fused, pyelastica"):
         make_engine(name, model, 1e-4)
+
+
+def test_the_step_check_sees_the_ball(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ball that bounces off a held rod, which cannot differ, is compared too; too far off, it is named."""
+    monkeypatch.setattr("lattice_gym.engines.STEP_TOLERANCE", 1e-6)
+    shape = {"radius": 0.01, "density": 1e3, "youngs_modulus": 1e5, "shear_modulus": 3e4}
+    rod = straight_rod((0.0, 0.0, 0.0), (0.3, 0.0, 0.0), 2, **shape)
+    clamps = tuple(Clamp(0, node, node if node < 2 else None) for node in range(3))
+    ball = Ball(position=np.array([0.15, 0.0, 0.05]), radius=0.03, mass=0.1, stiffness=100.0, force=(0.0, 0.0, -1.0))
+    engine = make_engine("fused", RodModel(rods=(rod,), clamps=clamps, bolus=ball), 2e-3, step_check=True)
+    assert str(engine.advance([], 100)) == "inaccurate (ball)"
+    assert engine.step_error is not None
+    assert engine.step_error > 1e-6

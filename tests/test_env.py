@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,8 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 import lattice_gym
 from lattice_gym.design import LatticeDesign
 from lattice_gym.engines import MAX_DILATATION, EngineName, Health, Status
-from lattice_gym.env import DIVERGENCE_PENALTY, OBSERVATION_BOUND, LatticeWormEnv, LatticeWormGoalEnv
+from lattice_gym.env import DIVERGENCE_PENALTY, OBSERVATION_BOUND, LatticeWormEnv, LatticeWormGoalEnv, _world
+from lattice_gym.fidelity import FidelityName
 from lattice_gym.lattice import build_lattice
 from lattice_gym.measures import muscle_lengths, site_positions
 from lattice_gym.muscles import advance_activation, named_layout
@@ -272,9 +274,11 @@ def test_numpy_arguments() -> None:
 
 @pytest.mark.parametrize("task", list(TASKS))
 def test_any_task_in_any_world(task: str, engine_name: EngineName) -> None:
-    """Everything at once, on either engine, with muscles as lines; deterministic, and a copy goes on as it would."""
-    world = World(medium=Medium(drag=0.01), ground=Ground(forward=0.5), bolus=Bolus(radius=0.02), lying=True)
-    design = SMALL | {"base": "free", "muscle_model": "line"}
+    """Everything at once, on either engine; deterministic, and a copy goes on as it would."""
+    # A worm must be at rest before it crawls; a ball slips out between so few rods and is not, so it has lines instead.
+    ball = None if task == "crawl" else Bolus(radius=0.02)
+    world = World(medium=Medium(drag=0.01), ground=Ground(forward=0.5), bolus=ball, lying=True)
+    design = SMALL | {"base": "free", "muscle_model": "line" if ball is None else "rod"}
     command = SMALL_WAVE if task == "peristalsis" else None
     env = LatticeWormEnv(task, design=design, world=world, engine=engine_name, control="ring", command=command)
     first = _episode(env, 3)
@@ -312,6 +316,22 @@ def test_goals() -> None:
     np.testing.assert_allclose(hindsight, 0.2 * np.linalg.norm(achieved, axis=1), rtol=1e-6)
     diverged = {"reward_terms": {"approach": 0.0, "effort": 0.0, "divergence": -DIVERGENCE_PENALTY}}
     assert env.compute_reward(achieved[0], desired[0], diverged) == -DIVERGENCE_PENALTY
+    # One info counts for all goals, None for none, and their number must fit.
+    plain = env.compute_reward(achieved, desired, None)
+    np.testing.assert_array_equal(plain, env.compute_reward(achieved, desired, {}))
+    np.testing.assert_array_equal(plain, env.compute_reward(achieved, desired, [None] * 5))
+    np.testing.assert_array_equal(
+        env.compute_reward(achieved, desired, infos[2]), env.compute_reward(achieved, desired, [infos[2]] * 5)
+    )
+    np.testing.assert_array_equal(env.compute_reward(achieved[:1], desired[:1], infos[:1]), rewards[:1])
+    assert env.compute_reward(achieved[0], desired[0], None) == np.asarray(plain)[0]
+    assert np.shape(env.compute_reward(achieved[:0], desired[:0], [])) == (0,)
+    hostile: list[Any] = [infos[:4], infos[:1], [], 7, ["ok"] * 5, "infos"]
+    for wrong in hostile:
+        with pytest.raises(ValueError, match=r"^info\b"):
+            env.compute_reward(achieved, desired, wrong)
+    with pytest.raises(ValueError, match=r"^info: must be one mapping"):
+        env.compute_reward(achieved[0], desired[0], infos)
     with pytest.raises(ValueError, match=r"^task = 'bending': has no goals; those that do: reach"):
         LatticeWormGoalEnv("bending")
     with pytest.raises(ValueError, match=r"^task = 'swimming': must be one of"):
@@ -361,6 +381,50 @@ def test_a_worm_that_crawls_has_settled() -> None:
     observation, _ = env._observe()
     np.testing.assert_allclose(observation[: 3 * 54], 0.0, atol=1e-3)
     np.testing.assert_allclose(observation[-2:], [1.0, -1.0], atol=1e-3)
+
+
+@pytest.mark.parametrize("fidelity", ["fast", "default"])
+@pytest.mark.parametrize("task", ["crawl", "transport"])
+def test_doing_nothing_earns_nothing_once_settled(task: str, fidelity: FidelityName) -> None:
+    """Over a whole episode, either way."""
+    env = LatticeWormEnv(task, fidelity=fidelity, control="ring", command={"direction": 1})
+    env.reset(seed=0)
+    rewards = [env.step(np.zeros(15))[1] for _ in range(200)]
+    assert np.abs(rewards).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("task", "world", "message"),
+    [
+        ("transport", {"bolus": {"density": 1010.0}}, r"^world: worm and ball do not come to rest"),
+        ("transport", {"bolus": {"density": 1050.0}}, r"^world: transport is over before it starts"),
+        ("transport", {"bolus": {"density": 500.0}}, r"^world: transport is over before it starts"),
+        ("crawl", {"medium": {"density": 2000.0}}, r"^world: worm and ball do not come to rest .* after 30 s"),
+        ("crawl", {"ground": None}, r"^world.ground = None: there is nothing to crawl on"),
+        ("crawl", {"medium": None}, r"^world.medium: has no gravity"),
+        ("crawl", {"medium": {"gravity": 0.0}}, r"^world.medium: has no gravity"),
+        ("crawl", {"lying": False}, r"^world.lying = False: a worm that crawls must lie"),
+    ],
+)
+def test_worlds_in_which_nothing_comes_to_rest(task: str, world: dict[str, Any], message: str) -> None:
+    """Refused at once, not played: the ball that sinks or rises out of its rings, the worm that falls or floats."""
+    with pytest.raises(ValueError, match=message):
+        LatticeWormEnv(task, fidelity="fast", world=world)
+
+
+@pytest.mark.parametrize("task", ["crawl", "transport"])
+def test_restating_a_world_changes_nothing(task: str) -> None:
+    """A dict changes parts by name: any own value, restated, leaves all others; an object replaces its part."""
+    lattice = build_lattice(LatticeDesign(**TASKS[task].design))
+    own = TASKS[task].surroundings(lattice)
+    for name, part in own.to_dict().items():
+        single = [{field: value} for field, value in part.items()] if isinstance(part, dict) else []
+        for stated in (part, *single):
+            assert _world({name: stated}, TASKS[task].surroundings, lattice) == own
+    changed = _world({"medium": {"drag": 0.5}, "bolus": Bolus(friction=0.2)}, TASKS[task].surroundings, lattice)
+    assert own.medium is not None
+    assert changed == replace(own, medium=replace(own.medium, drag=0.5), bolus=Bolus(friction=0.2))
+    assert _world({"medium": None, "ground": {}}, TASKS["reach"].surroundings, lattice) == World(ground=Ground())
 
 
 @pytest.mark.parametrize(("height", "direction", "held"), [(0.13, 1.0, True), (0.13, -1.0, False), (-0.02, -1.0, True)])

@@ -26,7 +26,7 @@ from lattice_gym.model import (
     straight_rod,
 )
 from lattice_gym.muscles import named_layout
-from lattice_gym.world import Ground, Medium, World
+from lattice_gym.world import Bolus, Ground, Medium, World
 
 STEEL: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}
 
@@ -258,6 +258,13 @@ def test_a_world_around_the_lattice(kind: str) -> None:
     rest.check(model)
     for laid, stood in zip(model.rods, plain.rods, strict=True):
         np.testing.assert_allclose(laid.rest_kappa, stood.rest_kappa, rtol=1e-9, atol=1e-12)
+
+
+def test_lines_hold_no_ball() -> None:
+    """They touch nothing: a ball would pass through them."""
+    lattice = build_lattice(LatticeDesign(muscle_model="line"))
+    with pytest.raises(ValueError, match=r'^design.muscle_model = "line": world.bolus needs muscles as rods'):
+        build_model(lattice, named_layout("all", lattice), World(bolus=Bolus(radius=0.02)))
 
 
 def test_node_radii() -> None:

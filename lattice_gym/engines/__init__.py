@@ -76,7 +76,10 @@ class Status(IntEnum):
 
 @dataclass(frozen=True)
 class Health:
-    """Status, and where it shows: rod and element, and the joint where one is torn (-1 where there is none)."""
+    """Status, and where it shows: rod and element, and the joint where one is torn (-1 where there is none).
+
+    A failure without a rod is the ball's.
+    """
 
     status: Status = Status.OK
     rod: int = -1
@@ -91,6 +94,8 @@ class Health:
     def __str__(self) -> str:
         if self.ok:
             return "ok"
+        if self.rod < 0:
+            return f"{self.status.name.lower()} (ball)"
         joint = f", joint {self.joint}" if self.joint >= 0 else ""
         return f"{self.status.name.lower()} (rod {self.rod}, element {self.element}{joint})"
 
@@ -172,7 +177,7 @@ class Engine(ABC):
 
     @property
     def step_error(self) -> float | None:
-        """Largest distance of a node from a run at half the step, over the longest side at rest.
+        """Largest distance of a node or the ball from a run at half the step, over the longest side at rest.
 
         None before the first call to `advance`, where either run failed, and without the check.
         """
@@ -214,7 +219,7 @@ class Engine(ABC):
         if self._meter is not None and self._before is not None:
             health = self._audit(self._meter, *self._before)
         if self._shadow is not None and other is not None:
-            compared = self._compared(self._shadow.state.position, other)
+            compared = self._compared(self._shadow.state, other)
             health = compared if health.ok else health
         return health
 
@@ -223,15 +228,18 @@ class Engine(ABC):
         self._shadow = shadow
         return self
 
-    def _compared(self, other: FloatArray, health: Health) -> Health:
-        """Judge how far the nodes are from where the engine at half the step has them, which ended in `health`."""
+    def _compared(self, other: RodState, health: Health) -> Health:
+        """Judge how far nodes and ball are from where the engine at half the step has them, which ended in `health`."""
         if not health.ok:
             return replace(health, status=Status.INACCURATE)
-        apart = np.linalg.norm(self.state.position - other, axis=1)
+        own, place = ((np.concatenate([state.position, state.bolus_position])) for state in (self.state, other))
+        apart = np.linalg.norm(own - place, axis=1)
         node = int(np.argmax(apart))
         self._step_error = float(apart[node]) / self._size
         if self._step_error <= STEP_TOLERANCE:
             return Health()
+        if node >= self.model.n_node:
+            return Health(Status.INACCURATE)
         rod = int(np.searchsorted(self.model.node_offset, node, side="right")) - 1
         return Health(Status.INACCURATE, rod, _element_at(self.model, rod, node - int(self.model.node_offset[rod])))
 
