@@ -15,11 +15,12 @@ from lattice_gym.gaits import gait, grouped
 from lattice_gym.hill import Hill
 from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.muscles import Muscle, MuscleLayout, horizontal, named_layout, resolve_layout, tie, vertical
-from lattice_gym.world import Bolus, Ground, Medium, World
+from lattice_gym.world import Bolus, Contact, Ground, Medium, World
 
 __all__ = [
     "Adaptation",
     "Bolus",
+    "Contact",
     "Ground",
     "Hill",
     "Lattice",

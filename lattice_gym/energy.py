@@ -19,6 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
+from lattice_gym import contact
 from lattice_gym.design import FloatArray, IntArray
 from lattice_gym.model import RodModel, RodState, rotation_between
 
@@ -58,6 +59,8 @@ class StoredEnergy:
     """Kinetic energy of the ball, shape (n_bolus,)."""
     contact: FloatArray
     """Spring between the ball and every element, shape (n_bolus n_elem,)."""
+    self_contact: FloatArray
+    """Springs between rods that touch: of every element its share, one half, shape (n_elem,); none without contact."""
     weight: FloatArray
     """Weight in the medium times height above rest of every node, shape (n_node,); none without gravity."""
     ground: FloatArray
@@ -78,7 +81,7 @@ class Flow:
     load_work: float = 0.0
     """Work that point forces and torques did, and the constant force on the ball."""
     dissipated: float = 0.0
-    """What damping of nodes, spin and joints took, the contacts of the ball, dashpots and friction of the ground."""
+    """What damping of nodes, spin and joints, contacts of ball and rods, dashpots and friction of the ground took."""
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,7 @@ class EnergyMeter:
             line=self._line_energy(x),
             bolus=self._ball_energy(state),
             contact=self._contact_energy(state),
+            self_contact=self._self_contact_energy(x),
             weight=self._weight_energy(x),
             ground=self._ground_energy(x),
         )
@@ -173,6 +177,23 @@ class EnergyMeter:
         depth = np.maximum(ball.radius + self.model.element_radius - distance, 0.0)
         energy: FloatArray = 0.5 * ball.stiffness * depth**2
         return energy
+
+    def _self_contact_energy(self, x: FloatArray) -> FloatArray:
+        law = self.model.contact
+        if law is None:
+            return np.zeros(0)
+        pairs = contact.overlapping(self.model, x)
+        pairs = pairs[~np.isin(pairs @ [self.model.n_elem, 1], self._excluded)]
+        energy = 0.5 * law.stiffness * contact.depths(self.model, x, pairs) ** 2
+        share = np.zeros(self.model.n_elem)
+        np.add.at(share, pairs, 0.5 * energy[:, None])
+        return share
+
+    @cached_property
+    def _excluded(self) -> IntArray:
+        """Pairs of elements that never touch, each as one number."""
+        numbers: IntArray = contact.excluded(self.model) @ np.array([self.model.n_elem, 1])
+        return numbers
 
     def _weight_energy(self, x: FloatArray) -> FloatArray:
         if self.model.gravity is None:

@@ -19,7 +19,7 @@ from lattice_gym.design import MAX_ELEMENTS, FloatArray, IntArray, finite_number
 from lattice_gym.hill import Hill
 from lattice_gym.lattice import Lattice
 from lattice_gym.muscles import Muscle, MuscleLayout
-from lattice_gym.world import Ground, World
+from lattice_gym.world import Contact, Ground, World
 
 SHEAR_CORRECTION = 27.0 / 28.0
 """Kaneko 1975 for a circular section and Poisson's ratio 0.5, as PyElastica has it."""
@@ -427,6 +427,8 @@ class RodModel:
     """Plane z = 0 that bears every node at its `node_radius`, with friction on the centre line; None is none."""
     hill: Hill | None = None
     """How the force of all muscles depends on their length and speed."""
+    contact: Contact | None = None
+    """How rods that are no muscles push at each other, see `contact`; None: they go through each other."""
 
     def __post_init__(self) -> None:
         for name, kind in PARTS.items():
@@ -477,6 +479,8 @@ class RodModel:
             object.__setattr__(self, name, _number(name, getattr(self, name), above=False))
         if self.ground is not None and not isinstance(self.ground, Ground):
             raise ValueError(f"ground = {shown(self.ground)}: must be Ground or None")
+        if self.contact is not None and not isinstance(self.contact, Contact):
+            raise ValueError(f"contact = {shown(self.contact)}: must be Contact or None")
         with np.errstate(all="ignore"):
             _require(bool(np.isfinite(self.node_weight).all()), "gravity, medium_density: far too large for these rods")
             _require(bool(np.isfinite(self.node_damping).all()), "medium_drag: far too large for these rods")
@@ -715,6 +719,7 @@ def build_model(
         medium_drag=0.0 if medium is None else medium.drag,
         ground=world.ground,
         hill=hill,
+        contact=world.contact,
     )
 
 

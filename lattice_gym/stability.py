@@ -8,6 +8,7 @@ eigenvalue decides for the whole assembly. It is found by Lanczos' iteration. A 
 to K and C as if it bore every node; its friction takes from velocities and weights are constant, which matters not.
 With `hill.Hill` factors every element of a muscle is a dashpot and a spring more, each at its steepest and under full
 tension.
+Contact between rods adds as if every node were touched by nodes of other rods on both sides, see `_crowded`.
 
 Left out is what forces around rest do not show: kinks of a right angle between elements, the friction of a ball, which
 its law bounds, and, with the "pyelastica" splitting, elements that spin about their rod. That step takes the gyroscopic
@@ -123,13 +124,28 @@ class _Ties:
 
 @dataclass(frozen=True)
 class _Floor:
-    """What acts on every node against its displacement along z [N/m]."""
+    """What acts on every node against its displacement [N/m]: a number for each component, or for each and node."""
 
-    stiffness: float
+    stiffness: FloatArray
 
     def __call__(self, displacement: FloatArray) -> FloatArray:
         """Return the force against a displacement of the nodes [N]; both of shape (n_node, 3)."""
-        return displacement * [0.0, 0.0, self.stiffness]
+        return displacement * self.stiffness
+
+
+def _crowded(model: RodModel) -> FloatArray:
+    """Contacts that every node of a rod but a muscle is taken to bear, shape (n_node, 1).
+
+    A contact between the places p and q bears no more than 2 p^2 + 2 q^2, by the lever rule two springs of its
+    stiffness at either node. A node is touched by nodes, both its elements by two each, on two sides: an assumption,
+    as rods may lie closer; but then they touch within elements, too, and these bear less.
+    """
+    sides, touching, springs = 2.0, 2.0, 2.0
+    contacts = np.full(model.n_node, 2.0)
+    contacts[model.node_offset[:-1]] = contacts[model.node_offset[1:] - 1] = 1.0
+    for rod in model.muscles:
+        contacts[model.nodes(rod)] = 0.0
+    return sides * touching * springs * contacts[:, None]
 
 
 def _ties(model: RodModel, ties: Sequence[Joint | Line], matrix: FloatArray) -> _Ties:
@@ -224,9 +240,15 @@ class _Linear:
             if dashpot_share * max_tension > 0.0:
                 self.dashpots.append(replace(muscle, matrix=dashpot_share * muscle.matrix))
         if model.ground is not None:
-            self.ties.append(_Floor(model.ground.stiffness))
+            upward = np.array([0.0, 0.0, 1.0])
+            self.ties.append(_Floor(model.ground.stiffness * upward))
             if model.ground.damping > 0.0:
-                self.dashpots.append(_Floor(model.ground.damping))
+                self.dashpots.append(_Floor(model.ground.damping * upward))
+        if model.contact is not None:
+            crowded = _crowded(model)
+            self.ties.append(_Floor(model.contact.stiffness * crowded))
+            if model.contact.damping > 0.0:
+                self.dashpots.append(_Floor(model.contact.damping * crowded))
         ball = model.bolus
         self.contact = (0.0, 0.0) if ball is None else (ball.stiffness, ball.damping)
         touching = np.full(model.n_node, 2.0)

@@ -56,7 +56,7 @@ from lattice_gym.muscles import (
 from lattice_gym.reports.__main__ import parser as reports_parser
 from lattice_gym.tasks import TASKS
 from lattice_gym.trajectory import Recorder, Trajectory
-from lattice_gym.world import Bolus, Ground, Medium, Part, World
+from lattice_gym.world import Bolus, Contact, Ground, Medium, Part, World
 
 HANG = 30.0
 """A call that takes longer hangs [s]."""
@@ -555,7 +555,12 @@ _MODELS = st.lists(
 
 # Worlds
 
-_AROUND_PARTS: dict[str, type[Medium | Ground | Bolus]] = {"medium": Medium, "ground": Ground, "bolus": Bolus}
+_AROUND_PARTS: dict[str, type[Medium | Ground | Bolus | Contact]] = {
+    "medium": Medium,
+    "ground": Ground,
+    "bolus": Bolus,
+    "contact": Contact,
+}
 _FULL_WORLD: dict[str, Any] = {**{name: asdict(part()) for name, part in _AROUND_PARTS.items()}, "lying": True}
 
 

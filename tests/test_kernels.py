@@ -16,6 +16,7 @@ def test_no_index_leaves_its_array(tmp_path: Path) -> None:
         "test_each_failure_is_named",
         "test_large_rotations_are_exact",
         "test_momentum",
+        "test_list_is_that_of_brute_force",
     ]
     command = [
         sys.executable,
@@ -28,6 +29,7 @@ def test_no_index_leaves_its_array(tmp_path: Path) -> None:
         "no:xdist",
         "tests/test_engines.py",
         "tests/test_bolus.py",
+        "tests/test_contact.py",
     ]
     # A cache of its own: code with bounds checks must not be taken for the fast code, nor the other way round.
     environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lattice_gym import contact
 from lattice_gym.design import FloatArray, IntArray
 from lattice_gym.energy import Flow
 from lattice_gym.engines import (
@@ -28,6 +29,8 @@ from lattice_gym.model import Joint, Line, Rod, RodModel, RodState
 
 _LARGEST_RATE = 300.0
 _CACHE_LINE = 64
+_SKIN = 0.25
+"""How much further than they touch elements are listed, over the largest radii of two of them together."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,7 @@ class FusedEngine(Engine):
         self._couples = self._pack_torques()
         self._spin_damping = 1.0 if any(rod.rotational_damping > 0.0 for rod in model.rods) else None
         self._ball = self._pack_ball()
+        self._contact = self._pack_contact()
         self._account = self._open_account() if energy_check else None
         self._time = 0.0
 
@@ -242,6 +246,22 @@ class FusedEngine(Engine):
             stiffness=ball.stiffness, damping=ball.damping, friction=ball.friction, slip_speed=ball.slip_speed,
         )  # fmt: skip
 
+    def _pack_contact(self) -> kernels.Contact | None:
+        law, model = self.model.contact, self.model
+        if law is None:
+            return None
+        element = contact.touchable(model)
+        n_elem = len(element)
+        rod, radius = contact.rod_of(model)[element], model.element_radius[element]
+        never = np.searchsorted(element, contact.excluded(model))
+        return kernels.Contact(
+            cell=self._element_cell[element], lane=self._element_lane[element], rod=rod, radius=radius,
+            never=never[:, 1].copy(), row=np.searchsorted(never[:, 0], np.arange(n_elem + 1)),
+            listed=np.zeros((n_elem, 2, 3)), ends=np.zeros((n_elem, 2, 3)), grid=np.zeros((n_elem, 3), np.int64),
+            head=np.zeros(2 ** (2 * n_elem).bit_length(), np.int64), behind=np.zeros(n_elem, np.int64),
+            stiffness=law.stiffness, damping=law.damping, skin=_SKIN * 2.0 * float(radius.max(initial=0.0)),
+        )  # fmt: skip
+
     def _pack_torques(self) -> float | None:
         for load in self.model.torques:
             cell, lane = self._place.cell(load.rod, load.element), self._place.rod_lane[load.rod]
@@ -298,6 +318,7 @@ class FusedEngine(Engine):
             self._spin_damping,
             self._symmetric,
             self._ball,
+            self._contact,
             self._account,
             n_substeps,
             self.dt,

@@ -7,10 +7,10 @@ structured dtype has a compile-time offset, so LLVM proves that fields do not al
 
 The equations are those of Gazzola et al. 2018 (R. Soc. Open Sci. 5:171628) as PyElastica 1.0.0 discretises them:
 circular sections (so J3 = 2 J1), linear elasticity, volume-preserving stretch. Within a step, in this order: weights
-and point forces (what a force starts from), joints, lines, the ball, internal forces and muscle tension, the ground's
-normal force, kick, friction, drift; damping goes along with the kick or comes after it, see `engines.Splitting`. The
-half drift that ends a step and the one that begins the next are one full drift; the first and the last of a call are
-halves.
+and point forces (what a force starts from), joints, lines, the ball, rods that touch, internal forces and muscle
+tension, the ground's normal force, kick, friction, drift; damping goes along with the kick or comes after it, see
+`engines.Splitting`. The half drift that ends a step and the one that begins the next are one full drift; the first and
+the last of a call are halves.
 
 All of this stands in one file because numba's cache looks at one file only: a helper elsewhere could be edited
 and the old machine code would run on.
@@ -125,6 +125,31 @@ class Ball(NamedTuple):
     slip_speed: float
 
 
+class Contact(NamedTuple):
+    """Elements that may touch, as `lattice_gym.contact` has it: record, lane, rod and radius [m], shape (n,) each.
+
+    Those that element i never touches are `never[row[i] : row[i + 1]]`, all beyond i. Elements nearer than their radii
+    and the `skin` [m] are listed, again once a node has gone more than half the skin from where it was then, `listed`
+    [m], shape (n, 2, 3); `ends` are where they are now. Work space of the listing: `grid`, shape (n, 3), `behind`,
+    shape (n,), and `head`, whose size is a power of two.
+    """
+
+    cell: npt.NDArray[np.int64]
+    lane: npt.NDArray[np.int64]
+    rod: npt.NDArray[np.int64]
+    radius: npt.NDArray[np.float64]
+    never: npt.NDArray[np.int64]
+    row: npt.NDArray[np.int64]
+    listed: npt.NDArray[np.float64]
+    ends: npt.NDArray[np.float64]
+    grid: npt.NDArray[np.int64]
+    head: npt.NDArray[np.int64]
+    behind: npt.NDArray[np.int64]
+    stiffness: float
+    damping: float
+    skin: float
+
+
 class Account(NamedTuple):
     """Energy that enters and leaves, added up step by step for whoever asks; see `_account`.
 
@@ -170,6 +195,10 @@ _LARGE_DECAY = 0.25
 # The friction of all contacts together takes at most one over this of a slip within a step.
 _GRIP = 2.0
 _LEAST_SQUARE = 1e-300
+# As `contact.PARALLEL`.
+_PARALLEL = 1e-8
+# Cells of the grid that a coordinate may be away from the origin: what is further is all in the last.
+_FAR_CELL = 1e9
 # Spin damped to less than this share within a step is too slow to count; the bound keeps 1 / keep^4 finite.
 _LEAST_KEEP = 1e-70
 
@@ -671,6 +700,155 @@ def _move_ball(ball: Ball, drift: float) -> None:
 
 
 @compiled
+def _nearest(ends: npt.NDArray[np.float64], one: int, two: int) -> tuple[float, float, float, float, float, float]:
+    """Shares of two segments where they are nearest, the vector from the second to the first there, and its square.
+
+    Their ends have the shape (n, 2, 3). Ericson 2005, Real-Time Collision Detection, section 5.1.9.
+    """
+    ax, ay, az = ends[one, 0, 0], ends[one, 0, 1], ends[one, 0, 2]
+    bx, by, bz = ends[two, 0, 0], ends[two, 0, 1], ends[two, 0, 2]
+    ux, uy, uz = ends[one, 1, 0] - ax, ends[one, 1, 1] - ay, ends[one, 1, 2] - az
+    wx, wy, wz = ends[two, 1, 0] - bx, ends[two, 1, 1] - by, ends[two, 1, 2] - bz
+    rx, ry, rz = ax - bx, ay - by, az - bz
+    uu, ww, uw = ux * ux + uy * uy + uz * uz, wx * wx + wy * wy + wz * wz, ux * wx + uy * wy + uz * wz
+    ur, wr = ux * rx + uy * ry + uz * rz, wx * rx + wy * ry + wz * rz
+    turned = uu * ww - uw * uw
+    if turned > _PARALLEL * uu * ww:
+        s = min(max((uw * wr - ur * ww) / turned, 0.0), 1.0)
+    else:
+        s = 0.5 * (min(max(-ur / uu, 0.0), 1.0) + min(max((uw - ur) / uu, 0.0), 1.0))
+    t = (uw * s + wr) / ww
+    if t < 0.0:
+        t, s = 0.0, min(max(-ur / uu, 0.0), 1.0)
+    elif t > 1.0:
+        t, s = 1.0, min(max((uw - ur) / uu, 0.0), 1.0)
+    gx, gy, gz = rx + s * ux - t * wx, ry + s * uy - t * wy, rz + s * uz - t * wz
+    return s, t, gx, gy, gz, gx * gx + gy * gy + gz * gz
+
+
+@compiled
+def _find_ends(cells: Cells, contact: Contact) -> float:
+    """Note where the nodes of every element stand; return the largest square of a way gone since they were listed."""
+    most, ends, listed = 0.0, contact.ends, contact.listed
+    for e in range(contact.cell.shape[0]):
+        here, there, j = cells[contact.cell[e]].x, cells[contact.cell[e] + 1].x, contact.lane[e]
+        first, second = 0.0, 0.0
+        for i in range(3):
+            ends[e, 0, i], ends[e, 1, i] = here[i, j], there[i, j]
+            first += (here[i, j] - listed[e, 0, i]) ** 2
+            second += (there[i, j] - listed[e, 1, i]) ** 2
+        most = max(most, first, second)
+    return most
+
+
+@compiled
+def _bucket(x: int, y: int, z: int, size: int) -> int:
+    """Place of a cell of the grid in a table whose size is a power of two."""
+    return ((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) & (size - 1)
+
+
+@compiled
+def list_pairs(cells: Cells, contact: Contact) -> tuple[npt.NDArray[np.int64], int]:
+    """Pairs of elements that may come to touch, as rows of an array, and how many rows it has in use.
+
+    Elements are put into the cells of a grid by their middles; two nearer than their radii and the skin are in cells
+    that are neighbours. Where elements stand at all costs no memory: cells share a table.
+    """
+    n_elem, listed, grid, head, behind = len(contact.cell), contact.listed, contact.grid, contact.head, contact.behind
+    rod, radius, skin, never, row = contact.rod, contact.radius, contact.skin, contact.never, contact.row
+    _find_ends(cells, contact)
+    listed[:] = contact.ends
+    longest, thickest = 0.0, 0.0
+    for e in range(n_elem):
+        square = 0.0
+        for i in range(3):
+            square += (listed[e, 1, i] - listed[e, 0, i]) ** 2
+        longest, thickest = max(longest, square), max(thickest, radius[e])
+    fine = 1.0 / (np.sqrt(longest) + 2.0 * thickest + skin)
+    pairs, count = np.empty((8 * n_elem + 1, 2), np.int64), 0
+    head[:] = -1
+    for e in range(n_elem):
+        for i in range(3):
+            place = np.floor(0.5 * (listed[e, 0, i] + listed[e, 1, i]) * fine)
+            grid[e, i] = int(min(max(place, -_FAR_CELL), _FAR_CELL)) if place == place else 0
+        x, y, z = grid[e, 0], grid[e, 1], grid[e, 2]
+        for near in range(27):
+            p, q, r = x + near % 3 - 1, y + near // 3 % 3 - 1, z + near // 9 - 1
+            other = head[_bucket(p, q, r, head.shape[0])]
+            while other >= 0:
+                same = grid[other, 0] == p and grid[other, 1] == q and grid[other, 2] == r
+                if (
+                    same
+                    and rod[other] != rod[e]
+                    and _is_near(listed, other, e, radius[other] + radius[e] + skin)
+                    and not _is_known(never, row[other], row[other + 1], e)
+                ):
+                    if count == pairs.shape[0]:
+                        more = np.empty((2 * count, 2), np.int64)
+                        more[:count] = pairs
+                        pairs = more
+                    pairs[count, 0], pairs[count, 1] = other, e
+                    count += 1
+                other = behind[other]
+        bucket = _bucket(x, y, z, head.shape[0])
+        behind[e], head[bucket] = head[bucket], e
+    return pairs, count
+
+
+@compiled
+def _is_near(listed: npt.NDArray[np.float64], a: int, b: int, reach: float) -> bool:
+    """Whether two segments are nearer than `reach`; their middles are then within it and half of either length."""
+    apart, own, other = 0.0, 0.0, 0.0
+    for i in range(3):
+        apart += (listed[a, 0, i] + listed[a, 1, i] - listed[b, 0, i] - listed[b, 1, i]) ** 2
+        own += (listed[a, 1, i] - listed[a, 0, i]) ** 2
+        other += (listed[b, 1, i] - listed[b, 0, i]) ** 2
+    # (p + q)^2 <= 2 p^2 + 2 q^2, twice: no root is needed.
+    if apart > 8.0 * reach * reach + 4.0 * (own + other):
+        return False
+    return bool(_nearest(listed, a, b)[5] < reach * reach)
+
+
+@compiled
+def _is_known(never: npt.NDArray[np.int64], first: int, last: int, b: int) -> bool:
+    """Whether b is among never[first:last]."""
+    known = False
+    for k in range(first, last):
+        known = known or never[k] == b
+    return known
+
+
+@compiled
+def _press(cells: Cells, contact: Contact, pairs: npt.NDArray[np.int64], count: int) -> float:
+    """Add the push of listed elements where they overlap to their nodes; return the power that it dissipates [W]."""
+    lost = 0.0
+    for k in range(count):
+        one, two = pairs[k, 0], pairs[k, 1]
+        s, t, gx, gy, gz, square = _nearest(contact.ends, one, two)
+        reach = contact.radius[one] + contact.radius[two]
+        if not square < reach * reach:
+            continue
+        inverse = 1.0 / np.sqrt(max(square, _LEAST_SQUARE))
+        normal = (gx * inverse, gy * inverse, gz * inverse)
+        here_a, there_a, j = cells[contact.cell[one]], cells[contact.cell[one] + 1], contact.lane[one]
+        here_b, there_b, m = cells[contact.cell[two]], cells[contact.cell[two] + 1], contact.lane[two]
+        rate = 0.0
+        for i in range(3):
+            speed = (1.0 - s) * here_a.v[i, j] + s * there_a.v[i, j] - (1.0 - t) * here_b.v[i, m] - t * there_b.v[i, m]
+            rate += speed * normal[i]
+        spring = contact.stiffness * (reach - square * inverse)
+        push = max(spring - contact.damping * rate, 0.0)
+        for i in range(3):
+            force = push * normal[i]
+            here_a.force[i, j] += (1.0 - s) * force
+            there_a.force[i, j] += s * force
+            here_b.force[i, m] -= (1.0 - t) * force
+            there_b.force[i, m] -= t * force
+        lost += (spring - push) * rate
+    return lost
+
+
+@compiled
 def advance(
     cells: Cells,
     passive: npt.NDArray[np.int64],
@@ -685,6 +863,7 @@ def advance(
     spin_damping: float | None,
     symmetric: float | None,
     ball: Ball | None,
+    contact: Contact | None,
     account: Account | None,
     n_steps: int,
     dt: float,
@@ -703,6 +882,8 @@ def advance(
     if ball is not None:
         for i in range(3):
             ball.place[i] += 0.5 * dt * ball.speed[i]
+    if contact is not None:
+        pairs, n_pairs = list_pairs(cells, contact)
     for step in range(n_steps):
         drift = dt if step < n_steps - 1 else 0.5 * dt
         _apply_joints(cells, joints, joint_damping)
@@ -717,6 +898,12 @@ def advance(
             _move_ball(ball, drift)
             if account is not None:
                 account.total[2] += dt * ball.load[6]
+        if contact is not None:
+            if _find_ends(cells, contact) > 0.25 * contact.skin * contact.skin:
+                pairs, n_pairs = list_pairs(cells, contact)
+            lost = _press(cells, contact, pairs, n_pairs)
+            if account is not None:
+                account.total[2] += dt * lost
         _step_blocks(cells, passive, dt, drift, None, None, couples, spin_damping, symmetric, loads, ground, account)
         _step_blocks(cells, active, dt, drift, 1.0, hill, couples, spin_damping, symmetric, loads, ground, account)
         if account is not None:

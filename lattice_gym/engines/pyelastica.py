@@ -26,12 +26,13 @@ from elastica.rod.cosserat_rod import CosseratRod
 from elastica.timestepper.symplectic_steppers import PositionVerlet
 from elastica.typing import ConnectionIndex, RigidBodyType, RodType
 
-from lattice_gym.design import FloatArray
+from lattice_gym import contact
+from lattice_gym.design import FloatArray, IntArray
 from lattice_gym.energy import Flow
 from lattice_gym.engines import MAX_DILATATION, MIN_DILATATION, Engine, Health, Status, joint_reach, overstretched, torn
 from lattice_gym.hill import Hill
 from lattice_gym.model import Ball, Rod, RodModel, RodState
-from lattice_gym.world import Ground
+from lattice_gym.world import Contact, Ground
 
 _START = np.float64(0.0)
 _LARGEST_RATE = 300.0
@@ -216,6 +217,52 @@ class _BallContact(NoForces[Sphere]):
         self.lost += float(np.sum((spring - push) * rate + drag * slip_speed**2))
 
 
+class _SelfContact(NoForces[CosseratRod]):
+    """Push of rods at each other, as `lattice_gym.contact` has it: every pair of elements is tried at every step.
+
+    Declared once, for one rod, it acts on all. `lost` gathers the power dissipated [W], shape (1,).
+    """
+
+    def __init__(self, model: RodModel, law: Contact, rods: list[CosseratRod], lost: FloatArray) -> None:
+        super().__init__()
+        self.law, self.rods, self.lost = law, rods, lost
+        self.rows = [model.nodes(index) for index in range(model.n_rod)]
+        self.first = np.delete(np.arange(model.n_node), model.node_offset[1:] - 1)
+        self.radius = np.concatenate([rod.radius for rod in model.rods])
+        rod = np.repeat(np.arange(model.n_rod), [len(made.rest_lengths) for made in rods])
+        solid = ~np.isin(rod, model.muscles)
+        pairs: IntArray = np.argwhere(solid[:, None] & solid & (rod[:, None] < rod))
+        pairs = pairs[contact.depths(model, model.rest_state().position, pairs) <= 0.0]
+        self.pairs = pairs[:, 0], pairs[:, 1]
+
+    def apply_forces(self, system: CosseratRod, time: np.float64 = _START) -> None:
+        place = np.concatenate([rod.position_collection.T for rod in self.rods])
+        start, side = place[self.first], place[self.first + 1] - place[self.first]
+        i, j = self.pairs
+        share = np.stack(contact.nearest(start[i], side[i], start[j], side[j]))[..., None]
+        gap = start[i] + share[0] * side[i] - start[j] - share[1] * side[j]
+        distance = np.linalg.norm(gap, axis=1)
+        hit = np.flatnonzero(self.radius[i] + self.radius[j] > distance)
+        if hit.size == 0:
+            return
+        i, j, share, distance = i[hit], j[hit], share[:, hit], distance[hit]
+        normal = gap[hit] / np.where(distance > 0.0, distance, 1.0)[:, None]
+        speed = np.concatenate([rod.velocity_collection.T for rod in self.rods])
+        at = [
+            (1.0 - s) * speed[self.first[e]] + s * speed[self.first[e] + 1] for s, e in zip(share, (i, j), strict=True)
+        ]
+        rate = np.sum((at[0] - at[1]) * normal, axis=1)
+        spring = self.law.stiffness * (self.radius[i] + self.radius[j] - distance)
+        push = np.maximum(spring - self.law.damping * rate, 0.0)
+        force, on_node = push[:, None] * normal, np.zeros_like(place)
+        for s, e, sign in zip(share, (i, j), (1.0, -1.0), strict=True):
+            np.add.at(on_node, self.first[e], sign * (1.0 - s) * force)
+            np.add.at(on_node, self.first[e] + 1, sign * s * force)
+        for rod, rows in zip(self.rods, self.rows, strict=True):
+            rod.external_forces += on_node[rows].T
+        self.lost += float(np.sum((spring - push) * rate))
+
+
 @dataclass(frozen=True, eq=False)
 class _Footing:
     """What the ground does to the nodes of one rod in a step: written by its two parts, one before and one after.
@@ -331,6 +378,8 @@ class PyElasticaEngine(Engine):
                 simulator.add_forcing_to(made).using(GravityForces, acc_gravity=model.gravity)
         if model.bolus is not None:
             self._add_ball(simulator, model.bolus)
+        if model.contact is not None:
+            simulator.add_forcing_to(rods[0]).using(_SelfContact, model, model.contact, rods, self._contact_loss)
         nodes, elements = defaultdict(list), defaultdict(list)
         for clamp in model.clamps:
             if clamp.node is not None:

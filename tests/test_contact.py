@@ -1,0 +1,385 @@
+"""Rods that touch each other: exact cases on both engines, the list of pairs, energy, the stable step, bad input."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lattice_gym import contact
+from lattice_gym.design import FloatArray, IntArray, LatticeDesign
+from lattice_gym.energy import EnergyMeter
+from lattice_gym.engines import EngineName, Splitting, kernels, make_engine
+from lattice_gym.engines.fused import FusedEngine
+from lattice_gym.lattice import Lattice, build_lattice
+from lattice_gym.model import Clamp, PointForce, RodModel, RodState, build_model, straight_rod
+from lattice_gym.muscles import named_layout
+from lattice_gym.stability import SAFETY, default_dt, stable_dt
+from lattice_gym.world import Contact, World
+
+ROD: dict[str, Any] = {"radius": 0.01, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}
+SOFT: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e3, "shear_modulus": 3e2}
+REACH = 2.0 * ROD["radius"]
+FIELDS = ("position", "velocity", "directors", "omega")
+
+
+def crossing(gap: float, x: float = 0.0, y: float = 0.0, angle: float = 90.0, **changes: Any) -> RodModel:
+    """Rod of three elements along x, and one above it, turned and moved, with a `gap` between their surfaces."""
+    side, place = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0]), np.array([x, y, REACH + gap])
+    rod = ROD | changes.pop("rod", {})
+    lower = straight_rod((-0.15, 0.0, 0.0), (0.15, 0.0, 0.0), 3, **rod)
+    upper = straight_rod(place - 0.15 * side, place + 0.15 * side, 3, **rod)
+    parts: dict[str, Any] = {"rods": (lower, upper), "contact": Contact(stiffness=1e3, damping=0.0)}
+    return RodModel(**(parts | changes))
+
+
+def moved(model: RodModel, rod: int, shift: Any, velocity: Any = (0.0, 0.0, 0.0)) -> RodState:
+    """State at rest but for one rod."""
+    state = model.rest_state().copy()
+    state.position[model.nodes(rod)] += shift
+    state.velocity[model.nodes(rod)] += velocity
+    return state
+
+
+def touching(model: RodModel, position: FloatArray) -> IntArray:
+    """Pairs of elements that push at each other."""
+    numbers = [model.n_elem, 1]
+    pairs = contact.overlapping(model, position)
+    found: IntArray = pairs[~np.isin(pairs @ numbers, contact.excluded(model) @ numbers)]
+    return found
+
+
+def test_depth(engine_name: EngineName) -> None:
+    """Two crossed free rods pressed together with a force sink in by it over the stiffness.
+
+    They are about to slip off each other, as any round things: the force is too small for that to show in the time.
+    """
+    force = 0.01
+    forces = [
+        PointForce(rod, node, (0.0, 0.0, sign * 0.5 * force)) for rod, sign in ((0, 1.0), (1, -1.0)) for node in (1, 2)
+    ]
+    model = crossing(1e-3, forces=tuple(forces), contact=Contact(stiffness=10.0, damping=0.5), rod={"damping": 0.3})
+    engine = make_engine(engine_name, model, 0.9 * stable_dt(model))
+    assert engine.advance([], round(3.0 / engine.dt)).ok
+    position = engine.state.position
+    pairs = touching(model, position)
+    assert pairs.tolist() == [[1, 4]]
+    assert contact.depths(model, position, pairs) == pytest.approx([force / 10.0], rel=1e-6)
+
+
+def test_a_bounce_from_afar(engine_name: EngineName) -> None:
+    """Within one call a short stiff rod comes from far beyond the list and leaves as from an elastic collision."""
+    stiff = {"youngs_modulus": 1e8, "shear_modulus": 4e7}
+    rods = [
+        straight_rod((-0.02, 0, 0), (0.02, 0, 0), 2, **ROD | stiff),
+        straight_rod((0, -0.02, 0.1), (0, 0.02, 0.1), 2, **ROD | stiff),
+    ]
+    model = RodModel(rods=tuple(rods), contact=Contact(stiffness=250.0, damping=0.0))
+    engine = make_engine(engine_name, model, 0.5 * stable_dt(model))
+    engine.restore(moved(model, 1, 0.0, (0.0, 0.0, -1.0)))
+    assert engine.advance([], round(0.11 / engine.dt)).ok
+    share = model.node_mass[:3] / model.node_mass[:3].sum()
+    left = [float(share @ engine.state.velocity[rows, 2]) for rows in (slice(0, 3), slice(3, 6))]
+    assert left == pytest.approx([-1.0, 0.0], abs=0.01)
+
+
+def momenta(model: RodModel, state: RodState) -> FloatArray:
+    """Momentum and angular momentum about the origin, shape (2, 3)."""
+    moving = model.node_mass[:, None] * state.velocity
+    inertia = np.concatenate([rod.inertia[:, None] * [1.0, 1.0, 2.0] for rod in model.rods])
+    side = np.delete(np.diff(state.position, axis=0), model.node_offset[1:-1] - 1, axis=0)
+    dilatation = np.linalg.norm(side, axis=1) / np.concatenate([rod.rest_length for rod in model.rods])
+    spin = np.einsum("nji,nj->i", state.directors, inertia * state.omega / dilatation[:, None])
+    return np.stack([moving.sum(axis=0), np.cross(state.position, moving).sum(axis=0) + spin])
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "angle"),
+    [(0.0, 0.0, 90.0), (0.02, 0.01, 60.0), (0.05, 0.05, 80.0), (0.151, 0.02, 90.0), (0.155, 0.155, 90.0),
+     (0.03, 0.004, 0.0), (0.31, 0.005, 0.0), (0.04, 0.0, 0.001)],
+)  # fmt: skip
+def test_momentum(engine_name: EngineName, x: float, y: float, angle: float) -> None:
+    """Free rods that hit each other within elements, at nodes, past ends and side by side."""
+    model = crossing(1e-3, x, y, angle, contact=Contact(stiffness=1e4, damping=3.0))
+    engine = make_engine(engine_name, model, 1e-5)
+    start = moved(model, 1, (-0.002 if x > 0.3 else 0.0, 0.0, -0.011), (0.3, -0.2, -1.0))
+    assert len(touching(model, start.position))
+    engine.restore(start)
+    before = momenta(model, start)
+    assert engine.advance([], 1).ok
+    after = engine.state
+    assert np.abs(after.velocity - start.velocity).max() > 1e-3
+    assert np.abs(momenta(model, after) - before).max() < 1e-15
+    assert engine.advance([], 300).ok
+    # The rods' own discrete law keeps angular momentum to the order of the step.
+    assert np.abs(momenta(model, engine.state)[0] - before[0]).max() < 1e-14
+    assert np.abs(momenta(model, engine.state)[1] - before[1]).max() < 1e-9
+
+
+def worm(law: Contact | None, tension: float, **design: Any) -> tuple[RodModel, float]:
+    """Lattice with compression muscles, and its step."""
+    lattice = build_lattice(LatticeDesign(**design))
+    model = build_model(lattice, named_layout("compression", lattice), World(contact=law))
+    return model, default_dt(model, 0.05, tension)
+
+
+def test_engines_agree_in_contact() -> None:
+    """To rounding in a step from a squeezed state with contacts, to 1e-9 m over a squeeze."""
+    model, dt = worm(Contact(stiffness=200.0), 2.0, n_pairs=3, period_ratio=1.5, elements_per_segment=3)
+    engines = [make_engine(name, model, dt) for name in ("fused", "pyelastica")]
+    pull, n_steps = np.full(model.n_muscle, 2.0), round(0.2 / dt)
+    for engine in engines:
+        assert engine.advance(np.stack([0.0 * pull, pull]), n_steps).ok
+    a, b = (engine.state for engine in engines)
+    assert len(touching(model, b.position)) > 5
+    for field in FIELDS:
+        scale = max(1.0, np.abs(getattr(b, field)).max())
+        assert np.abs(getattr(a, field) - getattr(b, field)).max() < 1e-9 * scale, field
+    for engine in engines:
+        engine.restore(b)
+        assert engine.advance(pull, 1).ok
+    a, b = (engine.state for engine in engines)
+    for field in ("position", "velocity", "directors"):
+        scale = np.abs(getattr(b, field)).max()
+        assert np.abs(getattr(a, field) - getattr(b, field)).max() < 2e-12 * scale, field
+
+
+def deepest(law: Contact | None) -> float:
+    """Largest depth over the reach in a second in which the default worm is compressed by 2 N."""
+    model, dt = worm(law, 2.0, max_tension=2.0)
+    engine, worst = make_engine("fused", model, dt, "symmetric"), 0.0
+    pull = np.full(model.n_muscle, 2.0)
+    for k in range(20):
+        ramp = np.minimum([[k / 4.0], [(k + 1.0) / 4.0]], 1.0) * pull
+        assert engine.advance(ramp, round(0.05 / dt)).ok
+        position = engine.state.position
+        depth = contact.depths(model, position, touching(model, position))
+        worst = max(worst, float(depth.max(initial=0.0)))
+    return worst / float(2.0 * model.rods[0].radius[0])
+
+
+def test_a_squeezed_worm_keeps_apart() -> None:
+    """Strongly compressed, rods that would go deep into each other keep nine tenths of their radii apart."""
+    assert deepest(None) > 0.5
+    assert deepest(Contact()) < 0.1
+
+
+def test_restart_is_exact(engine_name: EngineName) -> None:
+    """A state with contacts is all that is needed to go on to the last bit."""
+    model = crossing(1e-3, 0.02, 0.01, 60.0)
+    first, second = (make_engine(engine_name, model, 1e-5) for _ in range(2))
+    first.restore(moved(model, 1, (0.0, 0.0, -0.004), (0.3, -0.2, -1.0)))
+    assert first.advance([], 200).ok
+    second.restore(first.state)
+    assert first.advance([], 200).ok
+    assert second.advance([], 200).ok
+    for field in FIELDS:
+        assert np.array_equal(getattr(first.state, field), getattr(second.state, field)), field
+
+
+def test_who_touches() -> None:
+    """No rod touches itself, no muscle touches anything, and what overlaps at rest never touches."""
+    near = crossing(-1e-3)
+    assert contact.excluded(near).tolist() == [[1, 4]]
+    for model in (near, crossing(1e-3, muscles=(1,))):
+        for name in ("fused", "pyelastica"):
+            engine = make_engine(name, model, 1e-5)
+            start = moved(model, 1, (0.0, 0.0, -0.003))
+            engine.restore(start)
+            assert engine.advance(np.zeros(model.n_muscle), 1).ok
+            assert np.abs(engine.state.velocity).max() < 1e-12
+    bare = crossing(1e-3, muscles=(0, 1))
+    assert make_engine("fused", bare, 1e-5).advance([0.0, 0.0], 2).ok
+    assert len(contact.overlapping(bare, bare.rest_state().position)) == 0
+
+
+def engine_of(model: RodModel) -> FusedEngine:
+    """Compiled engine of a model."""
+    engine = make_engine("fused", model, 1e-5)
+    assert isinstance(engine, FusedEngine)
+    return engine
+
+
+def listed(engine: FusedEngine) -> tuple[IntArray, kernels.Contact]:
+    """Pairs of elements that the compiled code lists as they stand, sorted, and its tables."""
+    tables = engine._contact
+    assert tables is not None
+    pairs, count = kernels.list_pairs(engine._cells, tables)
+    pairs = contact.touchable(engine.model)[pairs[:count]]
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))], tables
+
+
+def scattered(rng: np.random.Generator, n_rod: int, size: float, **changes: Any) -> RodModel:
+    """Rods of three to five elements anywhere in a cube."""
+    rods = []
+    for _ in range(n_rod):
+        start, side = rng.uniform(0.0, size, 3), rng.normal(size=3)
+        end = start + 0.1 * side / np.linalg.norm(side)
+        rods.append(straight_rod(start, end, int(rng.integers(3, 6)), **ROD | {"radius": rng.uniform(0.005, 0.01)}))
+    return RodModel(rods=tuple(rods), contact=Contact(), **changes)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 10**6), st.integers(1, 25), st.sampled_from([0.01, 0.1, 0.3, 1.0]), st.sampled_from([0.0, 1e6]))
+def test_list_is_that_of_brute_force(seed: int, n_rod: int, size: float, far: float) -> None:
+    """Whatever moves wherever: all pairs within reach and skin that did not overlap at rest, and no others."""
+    rng = np.random.default_rng(seed)
+    model = scattered(rng, n_rod, size, muscles=tuple(range(int(rng.integers(0, n_rod + 1)))))
+    engine, rod = engine_of(model), contact.rod_of(model)
+    solid = ~np.isin(rod, model.muscles)
+    every = np.argwhere(solid[:, None] & solid & (rod[:, None] < rod))
+    rest, now = model.rest_state(), model.rest_state().copy()
+    now.position[:] += rng.normal(0.0, 0.02, now.position.shape) + far
+    engine.restore(now)
+    at_rest = contact.depths(model, rest.position, every) > 0.0
+    assert np.array_equal(contact.excluded(model), every[at_rest])
+    assert np.array_equal(
+        contact.overlapping(model, now.position), every[contact.depths(model, now.position, every) > 0]
+    )
+    found, tables = listed(engine)
+    near = contact.depths(model, now.position, every) > -tables.skin
+    assert np.array_equal(found, every[near & ~at_rest])
+
+
+WHOLE = st.lists(st.integers(-3, 3), min_size=12, max_size=12)
+
+
+@settings(deadline=None, max_examples=300)
+@given(WHOLE, st.sampled_from([0.0, 1e-6, 0.3]), st.integers(0, 1000))
+def test_nearest_points(whole: list[int], noise: float, seed: int) -> None:
+    """Compiled code and numpy by two ways; no sample of the segments is nearer. Parallel ones are among them."""
+    rng = np.random.default_rng(seed)
+    ends = np.array(whole, float).reshape(2, 2, 3) + noise * rng.uniform(-1.0, 1.0, (2, 2, 3))
+    ends[:, 1] += 10.0 * (ends[:, 1] == ends[:, 0]).all(axis=1)[:, None]
+    (a, p), (b, q) = ends
+    s, t = (float(share[0]) for share in contact.nearest(a[None], (p - a)[None], b[None], (q - b)[None]))
+    distance = np.linalg.norm(a + s * (p - a) - b - t * (q - b))
+    s2, t2, *gap, square = kernels._nearest(ends, 0, 1)
+    assert np.linalg.norm(a + s2 * (p - a) - b - t2 * (q - b) - gap) < 1e-12
+    assert np.sqrt(square) == pytest.approx(distance, abs=1e-7)
+    assert (s2, t2) == pytest.approx((s, t), abs=1e-6)
+    grid = np.linspace(0.0, 1.0, 21)
+    first, second = a + grid[:, None] * (p - a), b + grid[:, None] * (q - b)
+    # Segments that count as parallel are nearest in their middle, to their slant.
+    slack = 1e-12 if np.linalg.norm(np.cross(p - a, q - b)) > 1e-3 else 1e-3
+    assert distance <= np.linalg.norm(first[:, None] - second, axis=2).min() + slack
+
+
+def test_cost_grows_with_size() -> None:
+    """At one density eight times the rods make about eight times the pairs that are tried, and that are listed."""
+    tried, kept = [], []
+    for n_rod in (100, 800):
+        engine = engine_of(scattered(np.random.default_rng(0), n_rod, 0.05 * n_rod ** (1.0 / 3.0)))
+        pairs, tables = listed(engine)
+        apart = np.abs(tables.grid[:, None] - tables.grid).max(axis=2)
+        tried.append(np.count_nonzero(apart <= 1))
+        kept.append(len(pairs))
+    # Rods at the surface have fewer neighbours: a share that falls as the size grows.
+    assert 8.0 <= tried[1] / tried[0] < 14.0
+    assert 8.0 <= kept[1] / kept[0] < 14.0
+
+
+def test_energy_by_hand() -> None:
+    """Half the spring of the contact on either element."""
+    model = crossing(1e-3)
+    stored = EnergyMeter(model).stored(moved(model, 1, (0.0, 0.0, -0.004)))
+    half = 0.25 * 1e3 * 0.003**2
+    assert stored.self_contact == pytest.approx([0.0, half, 0.0, 0.0, half, 0.0], abs=1e-15)
+    assert len(EnergyMeter(crossing(1e-3, contact=None)).stored(model.rest_state()).self_contact) == 0
+
+
+def test_the_ledger_balances(engine_name: EngineName) -> None:
+    """A damped collision: all that is lost is counted, to the order of the step."""
+    model = crossing(1e-3, contact=Contact(stiffness=1e3, damping=2.0))
+    left = []
+    for dt in (4e-5, 2e-5, 1e-5):
+        engine = make_engine(engine_name, model, dt, energy_check=True)
+        engine.restore(moved(model, 1, 0.0, (0.0, 0.0, -0.2)))
+        assert engine.advance([], round(0.01 / dt)).ok
+        entry = engine.ledger
+        assert entry is not None
+        assert entry.dissipated > 1e-4
+        left.append(abs(entry.residual) / entry.scale)
+    assert left[0] < 3e-3
+    assert left[2] < 0.5 * left[0]
+
+
+def stack(n_rod: int, damping: float) -> tuple[RodModel, RodState]:
+    """Soft crossed rods, node on node, held by their ends and pressed together, and their state of balance."""
+    depth, stiffness, height = 1e-7, 1e4, 0.1 + 1e-9
+    rods, clamps = [], []
+    for k in range(n_rod):
+        side, place = np.eye(3)[k % 2], np.array([0.0, 0.0, k * height])
+        rods.append(straight_rod(place - side, place + side, 2, **SOFT))
+        clamps += [Clamp(k, node=0), Clamp(k, node=2)]
+    push = 4.0 * stiffness * depth
+    forces = PointForce(0, 1, (0.0, 0.0, push)), PointForce(n_rod - 1, 1, (0.0, 0.0, -push))
+    law = Contact(stiffness=stiffness, damping=damping)
+    model = RodModel(rods=tuple(rods), clamps=tuple(clamps), forces=forces, contact=law)
+    state = model.rest_state().copy()
+    state.position[1::3, 2] -= (depth + 1e-9) * (np.arange(n_rod) - 0.5 * (n_rod - 1))
+    state.velocity[1::3] = 1e-10 * np.random.default_rng(0).standard_normal((n_rod, 3))
+    return model, state
+
+
+@pytest.mark.parametrize("splitting", ["pyelastica", "symmetric"])
+@pytest.mark.parametrize("damping", [0.0, 50.0])
+def test_never_above_the_measured_limit(damping: float, splitting: Splitting) -> None:
+    """Crossed rods stacked node on node are what the stable step reckons with: it holds, and no longer one does."""
+    model, state = stack(12, damping)
+    limit = stable_dt(model, splitting=splitting) / SAFETY
+    for share, holds in ((0.99, True), (1.05, False)):
+        engine = make_engine("fused", model, share * limit, splitting)
+        engine.restore(state)
+        health = engine.advance([], 4000)
+        assert (health.ok and np.abs(engine.state.velocity).max() < 1e-7) == holds, share
+
+
+def test_what_it_costs(lattice: Lattice) -> None:
+    """The default contact shortens the predicted step of the default lattice by three tenths."""
+    layout = named_layout("compression", lattice)
+    plain, with_contact = (
+        stable_dt(build_model(lattice, layout, World(contact=law)), 0.5) for law in (None, Contact())
+    )
+    assert 0.68 < with_contact / plain <= 1.0
+
+
+def test_the_world_has_it(lattice: Lattice) -> None:
+    """None unless asked for; its dict form is JSON."""
+    layout = named_layout("extension", lattice)
+    assert build_model(lattice, layout).contact is None
+    world = World(contact=Contact(stiffness=70.0, damping=0.2))
+    assert build_model(lattice, layout, world).contact == world.contact
+    assert World.from_dict(json.loads(json.dumps(world.to_dict()))) == world
+    assert World.from_dict({"contact": {"stiffness": 70.0}}).contact == replace(Contact(), stiffness=70.0)
+
+
+ODD: st.SearchStrategy[object] = st.one_of(
+    st.floats(max_value=0.0, exclude_max=True), st.sampled_from([np.nan, np.inf, "1", None, True, [], 1j, 1e12])
+)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.sampled_from(["stiffness", "damping"]), ODD)
+def test_refused_numbers(name: str, value: Any) -> None:
+    """Each is named."""
+    with pytest.raises(ValueError, match=rf"Contact\.{name}"):
+        Contact(**{name: value})
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.sampled_from([1, "hard", (), True, {"stiffness": 1.0}, World()]))
+def test_refused_contacts(value: Any) -> None:
+    """What is no contact, in a model and in a world."""
+    with pytest.raises(ValueError, match="contact"):
+        crossing(1e-3, contact=value)
+    if not isinstance(value, dict):
+        with pytest.raises(ValueError, match=r"World\.contact"):
+            World(contact=value)
+    with pytest.raises(ValueError, match="friction"):
+        Contact.from_dict({"friction": 0.1})
