@@ -11,6 +11,17 @@ from lattice_gym.design import finite_number, shown
 Bounds = dict[str, tuple[float, float, str]]
 
 
+def _known(kind: type[Part] | type[World], values: Mapping[str, Any], what: str) -> Mapping[str, Any]:
+    """Values whose names are all fields of a kind; anything else is a ValueError."""
+    if not isinstance(values, Mapping):
+        raise ValueError(f"{kind.__name__}: must be a mapping of names to {what}, got {shown(values)}")
+    known = [item.name for item in fields(kind)]
+    unknown = [name for name in values if name not in known]
+    if unknown:
+        raise ValueError(f"{kind.__name__}: has no {unknown[0]!r}; it has {', '.join(known)}")
+    return values
+
+
 @dataclass(frozen=True, kw_only=True)
 class Part:
     """Numbers within bounds, given by name; anything else is a ValueError that names the field."""
@@ -34,13 +45,7 @@ class Part:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """Make it from its fields by name; those that are missing have their defaults."""
-        if not isinstance(values, Mapping):
-            raise ValueError(f"{cls.__name__}: must be a mapping of names to numbers, got {shown(values)}")
-        known = [item.name for item in fields(cls)]
-        unknown = [name for name in values if name not in known]
-        if unknown:
-            raise ValueError(f"{cls.__name__}: has no {unknown[0]!r}; it has {', '.join(known)}")
-        return cls(**values)
+        return cls(**_known(cls, values, "numbers"))
 
     @classmethod
     def resolve(cls, name: str, given: object) -> Self | None:
@@ -185,10 +190,4 @@ class World:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> World:
         """World from its fields by name; those that are missing are absent."""
-        if not isinstance(values, Mapping):
-            raise ValueError(f"World: must be a mapping of names to parts, got {shown(values)}")
-        known = [item.name for item in fields(cls)]
-        unknown = [name for name in values if name not in known]
-        if unknown:
-            raise ValueError(f"World: has no {unknown[0]!r}; it has {', '.join(known)}")
-        return cls(**values)
+        return cls(**_known(cls, values, "parts"))

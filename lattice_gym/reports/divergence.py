@@ -46,7 +46,7 @@ from lattice_gym.engines import (
     make_engine,
 )
 from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.measures import dilatation
+from lattice_gym.measures import dilatation, muscle_strain
 from lattice_gym.model import RodModel, build_model
 from lattice_gym.muscles import LAYOUTS, advance_activation, named_layout
 from lattice_gym.reports.provenance import provenance, table, write
@@ -325,17 +325,10 @@ def _gap_share(model: RodModel, position: FloatArray, reach: FloatArray) -> floa
 
 
 def _near_a_bound(model: RodModel, position: FloatArray, reach: FloatArray) -> bool:
-    """Whether an element, a line or a joint is close to failing."""
-    lengths = np.concatenate([dilatation(model, position), _line_dilatation(model, position)])
+    """Whether an element, a line or a joint is close to failing; a muscle rod's own strain is within its elements'."""
+    lengths = np.concatenate([dilatation(model, position), 1.0 + muscle_strain(model, position)])
     stretched = lengths.min() < NEAR * MIN_DILATATION or lengths.max() > MAX_DILATATION / NEAR
     return bool(stretched or _gap_share(model, position, reach) > 1.0 / NEAR)
-
-
-def _line_dilatation(model: RodModel, position: FloatArray) -> FloatArray:
-    a, b = model.tie_nodes(model.lines)
-    rest = np.array([line.rest_length for line in model.lines])
-    lengths: FloatArray = np.linalg.norm(position[b] - position[a], axis=1) / rest
-    return lengths
 
 
 def count(runs: Sequence[Run]) -> dict[str, dict[str, int]]:
