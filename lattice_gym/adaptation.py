@@ -16,7 +16,7 @@ MODES = ("continuous", "episode")
 
 @dataclass(frozen=True, eq=False)
 class Strength:
-    """Strength of every muscle over that of a fresh, untrained one, and what its use was; all of shape (n_muscle,)."""
+    """Strength of every muscle over that of a fresh, untrained one, and what its use was: shape (..., n_muscle)."""
 
     grown: FloatArray
     """Factor by growth, from 1 to the cap."""
@@ -26,13 +26,24 @@ class Strength:
     """Size of the strain, added up over the episode [s]; only with the mode "episode"."""
     loaded: FloatArray
     """Tension, added up over the episode [N s]; only with the mode "episode"."""
-    time: float = 0.0
-    """Time over which they were added up [s]."""
+    time: FloatArray | float = 0.0
+    """Time over which they were added up [s], shape (...,)."""
 
     @property
     def factor(self) -> FloatArray:
         """Factor on the tension."""
         return self.grown * self.fresh
+
+    def row(self, worm: int) -> Strength:
+        """Strength of one of several worms."""
+        parts = (self.grown, self.fresh, self.strained, self.loaded)
+        time = np.broadcast_to(self.time, self.grown.shape[:1])
+        return Strength(*(part[worm] for part in (*parts, time)))
+
+    def where(self, changed: npt.NDArray[np.bool_], other: Strength) -> Strength:
+        """Strength of worms of which some, shape (n_worm,), have changed to another."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Strength(*(np.where(changed if np.ndim(new) < 2 else changed[:, None], new, old) for old, new in pairs))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,9 +117,10 @@ class Adaptation(Part):
         """Largest strength there can be."""
         return self.cap if self.strain_gain > 0.0 or self.force_gain > 0.0 else 1.0
 
-    def untrained(self, n_muscle: int) -> Strength:
-        """Strength of fresh, untrained muscles."""
-        return Strength(np.ones(n_muscle), np.ones(n_muscle), np.zeros(n_muscle), np.zeros(n_muscle))
+    def untrained(self, shape: int | tuple[int, ...]) -> Strength:
+        """Strength of fresh, untrained muscles: their number, or (..., n_muscle)."""
+        grown = np.ones(shape)
+        return Strength(grown, grown.copy(), 0.0 * grown, 0.0 * grown, np.zeros(grown.shape[:-1]))
 
     def used(
         self,
@@ -125,7 +137,7 @@ class Adaptation(Part):
         strength
             Strength before.
         activation, tension, strain
-            Of every muscle, shape (n_muscle,): in [0, 1], not negative [N], and length over rest length less 1.
+            Of every muscle, shape as the strength's: in [0, 1], not negative [N], and length over rest length less 1.
         duration
             [s]
 
@@ -155,7 +167,7 @@ class Adaptation(Part):
         return replace(strength, grown=self._grown(strength.grown, strained, load, time / self.episode), fresh=fresh)
 
     def begun(self, strength: Strength) -> Strength:
-        """Strength with which the next episode begins."""
+        """Strength with which the next episode begins, of one worm."""
         n_muscle = len(strength.grown)
         if not self.carry:
             return self.untrained(n_muscle)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 import gymnasium
 import numpy as np
@@ -12,34 +12,22 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from lattice_gym.adaptation import Adaptation
-from lattice_gym.design import TURN, FloatArray, IntArray, LatticeDesign, is_number, shown, whole_number
+from lattice_gym.design import FloatArray, IntArray, LatticeDesign, is_number, shown, whole_number
 from lattice_gym.engines import Engine, EngineName, Health, Splitting, make_engine
+from lattice_gym.episode import Episodes
 from lattice_gym.fidelity import FidelityName, named_fidelity
 from lattice_gym.hill import Hill
 from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.measures import muscle_strain, site_nodes
-from lattice_gym.model import RodModel, RodState, build_model
-from lattice_gym.muscles import MuscleLayout, advance_activation, control_groups, resolve_layout
+from lattice_gym.model import Motion, RodState, build_model
+from lattice_gym.muscles import MuscleLayout, control_groups, resolve_layout
+from lattice_gym.observation import OBSERVATIONS, Observation, Observer
 from lattice_gym.stability import default_dt, stable_dt
-from lattice_gym.tasks import COMMAND_BOUND, TASKS, Given, GoalTask, make_task
+from lattice_gym.tasks import TASKS, Given, GoalTask, Task, make_task
 from lattice_gym.world import Part, World
 
 if TYPE_CHECKING:
     from lattice_gym.rendering import Renderer
 
-Observation = Any
-"""An array; of a `LatticeWormGoalEnv` a dict of three."""
-
-OBSERVATIONS = ("sites", "nodes")
-
-POSITION_SCALE = 0.2
-"""Displacements are observed in units of this share of the height."""
-VELOCITY_SCALE = 1.0
-"""Velocities are observed in units of this many heights a second."""
-OBSERVATION_BOUND = 20.0
-"""Bound of observed displacements and velocities, several times what the default design reaches."""
-DIVERGENCE_PENALTY = 1000.0
-"""More than lies between the best and the worst episode of registered length of any task: to blow up is worse."""
 SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT = 1e-6, 1e3
 """Bounds of the control step [s]."""
 MAX_SUBSTEPS = 1_000_000
@@ -307,6 +295,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     """
 
     metadata = METADATA
+    _goals_apart: ClassVar[bool] = False
+    """Whether goals are observed apart."""
     action_space: spaces.Box[np.float32]
     observation_space: spaces.Space[Any]
 
@@ -349,6 +339,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             raise ValueError("world: a worm that lies needs a free base (design.base); on a clamped one it stands")
         self.adaptation = Adaptation.resolve("adaptation", adaptation)
         self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))
+        self._given = command
         self.task = make_task(task, self.lattice, self.control_dt, command, self.model)
         preferred: Splitting = "pyelastica" if engine == "pyelastica" else preset.splitting
         self.splitting: Splitting = preferred if splitting is None else splitting
@@ -362,15 +353,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._engine: Engine = self._make_engine()
 
         self.task.rest = self._start = self._settled()
-        self._point_nodes = _observed_nodes(self.model, self.lattice, observation)
-        self._rest_points = self._start.position[self._point_nodes].mean(axis=1)
-        self._strength = None if self.adaptation is None else self.adaptation.untrained(self.model.n_muscle)
-        n_action = int(self.groups.max()) + 1
-        self.action_space = spaces.Box(0.0, 1.0, (n_action,), np.float32)
-        self.observation_space = self._space(n_action)
+        self._episode = self._episodes(self.task)
+        self.action_space = spaces.Box(0.0, 1.0, self._episode.activation.shape[1:], np.float32)
+        self.observation_space = self._episode.observer.space
         self._state = self._start.copy()
-        self._activation = np.zeros(n_action)
-        self._n_step = 0
         self._running = False
 
     @property
@@ -381,17 +367,19 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     @property
     def activation(self) -> FloatArray:
         """Activation of every active muscle now, shape (n_muscle,), in [0, 1]."""
-        return self._activation[self.groups]
+        activation: FloatArray = self._episode.activation[0, self.groups]
+        return activation
 
     @property
     def strength(self) -> FloatArray:
         """Strength of every active muscle now, over that of the design, shape (n_muscle,)."""
-        return np.ones(self.model.n_muscle) if self._strength is None else self._strength.factor
+        strength = self._episode.strength
+        return np.ones(self.model.n_muscle) if strength is None else strength[0]
 
     @property
     def time(self) -> float:
         """Time since the episode began [s], at the end of the last control step, be it one that failed."""
-        return self._n_step * self.control_dt
+        return int(self._episode.n_step[0]) * self.control_dt
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -400,8 +388,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         if seed is not None and ((number := whole_number(seed)) is None or number < 0):
             raise ValueError(f"seed = {shown(seed)}: must be None or a whole number, 0 or more")
         super().reset(seed=None if seed is None else int(seed))
-        self.task.begin(self.np_random, options)
-        self._rest()
+        self._episode.begin(self.np_random, options)
+        self._state = self._start.copy()
+        self._engine.restore(self._state)
         self._running = True
         observation, _ = self._observe()
         return observation, {"command": dict(self.task.command), "status": OK} | self._strength_info()
@@ -410,39 +399,28 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """Advance by `control_dt`."""
         if not self._running:
             raise gymnasium.error.ResetNeeded("reset() must be called first, and again once an episode has terminated")
-        command, n_clipped = self._command(action)
-        design, before = self.design, self._activation
-        after = advance_activation(before, command, self.control_dt, design.rise_time, design.decay_time)
-        tension = design.max_tension * np.stack([before, after])[:, self.groups]
-        if self._strength is not None:
-            self.task.strength = self._strength.factor
-            tension *= self.task.strength
-        health = self._engine.advance(tension, self.n_substeps)
+        command, n_clipped = clipped_command(action, self.action_space.shape)
+        health = self._engine.advance(self._episode.tension(command[None])[:, 0], self.n_substeps)
         if health.ok:
-            self._state, self._activation, self._n_step = self._engine.state, after, self._n_step + 1
-            if self.adaptation is not None and self._strength is not None:
-                active, strain = 0.5 * (before + after)[self.groups], muscle_strain(self.model, self._state.position)
-                self._strength = self.adaptation.used(
-                    self._strength, active, tension.mean(axis=0), strain, self.control_dt
-                )
-            terms = self.task.terms(self._state, self.activation, self.time) | {"divergence": 0.0}
+            self._state = self._engine.state
         else:
             self._engine.restore(self._state)
-            terms = dict.fromkeys(self.task.term_names, 0.0) | {"divergence": -DIVERGENCE_PENALTY}
-        over = not health.ok or self.task.over(self._state)
-        self._running = not over
+        motion = Motion.of(self._state)
+        scores, over = self._episode.score(motion, np.array([health.ok]))
+        self._running = not over[0]
         observation, n_beyond = self._observe()
         if not health.ok:
             # Not before the last sound moment was observed.
-            self._n_step += 1
+            self._episode.n_step += 1
+        terms = _first(scores)
         info = {
             "reward_terms": terms,
-            "outcome": self.task.outcome(self._state),
+            "outcome": _first(self.task.outcome(motion, np.zeros(1, dtype=np.int64))),
             "status": str(health),
-            "clipped_actions": n_clipped,
+            "clipped_actions": int(n_clipped),
             "clipped_observations": n_beyond,
         } | self._strength_info()
-        return observation, sum(terms.values()), over, False, info
+        return observation, sum(terms.values()), bool(over[0]), False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """Picture of the worm now, shape (480, 640, 3); None without a render mode."""
@@ -471,6 +449,19 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._renderer = None
         self._engine = self._make_engine()
         self._engine.restore(self._state)
+
+    def episodes(self, n_worm: int) -> Episodes:
+        """Make episodes of n worms, each as this environment has one."""
+        task = make_task(self.task.name, self.lattice, self.control_dt, self._given, self.model, n_worm)
+        task.rest = self._start
+        return self._episodes(task)
+
+    def _episodes(self, task: Task) -> Episodes:
+        n_action = int(self.groups.max()) + 1
+        observer = Observer(
+            self.model, task, n_action, self.observation, self.rhythm, self.adaptation, self._goals_apart
+        )
+        return Episodes(task, observer, self.design, self.groups, self.adaptation)
 
     def _make_engine(self) -> Engine:
         return make_engine(self.engine_name, self.model, self.dt, self.splitting, self.energy_check, self.step_check)
@@ -512,9 +503,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             now = engine.state
             speed = _speed(before, now) / self.design.height
             start = replace(state, position=now.position, directors=now.directors, bolus_position=now.bolus_position)
-            if speed <= QUIET or self.task.over(start):
+            if speed <= QUIET or self.task.over(Motion.of(start))[0]:
                 break
-        if self.task.over(start):
+        if self.task.over(Motion.of(start))[0]:
             raise ValueError(
                 f"world: {self.task.name} is over before it starts: while worm and ball come to rest in it"
             )
@@ -525,64 +516,14 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             )
         return start
 
-    def _rest(self) -> None:
-        self._state = self._start.copy()
-        self._engine.restore(self._state)
-        self._activation = np.zeros_like(self._activation)
-        self._n_step = 0
-        if self.adaptation is not None and self._strength is not None:
-            self._strength = self.adaptation.begun(self._strength)
-
     def _strength_info(self) -> dict[str, Any]:
-        return {} if self._strength is None else {"strength": self._strength.factor}
-
-    def _command(self, action: npt.ArrayLike) -> tuple[FloatArray, int]:
-        """Clipped commands, one per group, and how many were clipped."""
-        try:
-            given = np.asarray(action)
-        except ValueError:
-            raise ValueError(f"action: must be an array of shape {self.action_space.shape}, got {action!r}") from None
-        if given.dtype.kind not in "fiu":
-            raise ValueError(f"action: must hold real numbers, got {given.dtype}")
-        if given.shape != self.action_space.shape:
-            raise ValueError(f"action: shape must be {self.action_space.shape}, got {given.shape}")
-        if np.isnan(given).any():
-            raise ValueError(f"action: must not be NaN, got NaN in {np.flatnonzero(np.isnan(given)).tolist()}")
-        command = np.clip(given.astype(np.float64), 0.0, 1.0)
-        return command, int(np.count_nonzero(command != given))
+        return {} if self.adaptation is None else {"strength": self.strength}
 
     def _observe(self) -> tuple[Observation, int]:
         """Observation, and how many of its displacements and velocities lay beyond their bound."""
-        height = self.design.height
-        displacement = self._state.position[self._point_nodes].mean(axis=1) - self._rest_points
-        velocity = self._state.velocity[self._point_nodes].mean(axis=1)
-        if self.task.travels:
-            displacement[:, :2] -= displacement[:, :2].mean(axis=0)
-        moving = np.concatenate(
-            [displacement.ravel() / (POSITION_SCALE * height), velocity.ravel() / (VELOCITY_SCALE * height)]
-        )
-        bounded = np.clip(moving, -OBSERVATION_BOUND, OBSERVATION_BOUND)
-        parts = [bounded, self._activation, *self._commanded()]
-        if self.rhythm is not None:
-            angle = TURN * self.rhythm * self.time
-            parts.append(np.array([np.cos(angle), np.sin(angle)]))
-        if self.adaptation is not None and self.adaptation.observed:
-            parts.append(self.strength)
-        return np.concatenate(parts).astype(np.float32), int(np.count_nonzero(bounded != moving))
-
-    def _commanded(self) -> list[FloatArray]:
-        """Observe what is asked for."""
-        return [self.task.observe(self._state, self.time)]
-
-    def _space(self, n_action: int, commanded: tuple[float, ...] | None = None) -> spaces.Space[Any]:
-        n_moving = 6 * len(self._point_nodes)
-        commanded = self.task.bounds if commanded is None else commanded
-        bounds = np.array(commanded + (() if self.rhythm is None else (1.0, 1.0)))
-        seen = None if self.adaptation is None or not self.adaptation.observed else self.adaptation
-        strongest = np.zeros(0) if seen is None else np.full(self.model.n_muscle, seen.most)
-        high = np.concatenate([np.full(n_moving, OBSERVATION_BOUND), np.ones(n_action), bounds, strongest])
-        low = np.concatenate([np.full(n_moving, -OBSERVATION_BOUND), np.zeros(n_action), -bounds, 0.0 * strongest])
-        return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        observation, n_beyond = self._episode.observe(Motion.of(self._state))
+        seen = {name: part[0] for name, part in observation.items()} if self._goals_apart else observation[0]
+        return seen, int(n_beyond[0])
 
 
 class LatticeWormGoalEnv(LatticeWormEnv):
@@ -595,6 +536,8 @@ class LatticeWormGoalEnv(LatticeWormEnv):
     Give a `HerReplayBuffer` `copy_info_dict=True`: without infos `compute_reward` knows neither effort nor divergence,
     and a relabelled transition that diverged is paid its plain approach instead of the penalty.
     """
+
+    _goals_apart = True
 
     def __init__(self, task: str = "reach", **arguments: Any) -> None:
         if isinstance(task, str) and task in TASKS and not issubclass(TASKS[task], GoalTask):
@@ -626,18 +569,32 @@ class LatticeWormGoalEnv(LatticeWormEnv):
         assert isinstance(self.task, GoalTask)
         return self.task
 
-    def _observe(self) -> tuple[Observation, int]:
-        flat, n_beyond = super()._observe()
-        goals = {"achieved_goal": self._goal_task.achieved(self._state), "desired_goal": self._goal_task.desired()}
-        return {"observation": flat, **goals}, n_beyond
 
-    def _commanded(self) -> list[FloatArray]:
-        return []
+def clipped_command(action: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
+    """Commands from 0 to 1, of the given shape (..., n_action), and how many were clipped, shape (...,).
 
-    def _space(self, n_action: int, commanded: tuple[float, ...] | None = None) -> spaces.Space[Any]:
-        goal = spaces.Box(-COMMAND_BOUND, COMMAND_BOUND, (self._goal_task.n_goal,), np.float32)
-        flat = super()._space(n_action, ())
-        return spaces.Dict({"observation": flat, "achieved_goal": goal, "desired_goal": goal})
+    Raises
+    ------
+    ValueError
+        NaN, another shape or what is no real number.
+    """
+    try:
+        given = np.asarray(action)
+    except ValueError:
+        raise ValueError(f"action: must be an array of shape {shape}, got {action!r}") from None
+    if given.dtype.kind not in "fiu":
+        raise ValueError(f"action: must hold real numbers, got {given.dtype}")
+    if given.shape != shape:
+        raise ValueError(f"action: shape must be {shape}, got {given.shape}")
+    if np.isnan(given).any():
+        raise ValueError(f"action: must not be NaN, got NaN in {np.argwhere(np.isnan(given)).tolist()}")
+    command = np.clip(given.astype(np.float64), 0.0, 1.0)
+    return command, np.count_nonzero(command != given, axis=-1)
+
+
+def _first(values: Mapping[str, FloatArray]) -> dict[str, float]:
+    """Numbers of the first worm."""
+    return {name: float(value[0]) for name, value in values.items()}
 
 
 def _infos(info: Any, count: int) -> list[Mapping[str, Any]]:
@@ -691,10 +648,3 @@ def _speed(before: RodState, now: RodState) -> float:
     nodes = now.velocity, (now.position - before.position) / SETTLING_SPAN
     balls = now.bolus_velocity, (now.bolus_position - before.bolus_position) / SETTLING_SPAN
     return max(float(np.linalg.norm(part, axis=1).max(initial=0.0)) for part in (*nodes, *balls))
-
-
-def _observed_nodes(model: RodModel, lattice: Lattice, observation: str) -> IntArray:
-    """Rows of the nodes whose mean is an observed point, shape (n_point, 1 or 2); none that a clamp holds."""
-    nodes = site_nodes(lattice) if observation == "sites" else np.arange(lattice.n_rod * lattice.n_node)[:, None]
-    held = [model.node_offset[clamp.rod] + clamp.node for clamp in model.clamps if clamp.node is not None]
-    return nodes[~np.isin(nodes, held).any(axis=1)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -61,6 +62,11 @@ class Lattice:
     def n_level(self) -> int:
         """Number of levels."""
         return len(self.level_height)
+
+    @cached_property
+    def site_nodes(self) -> IntArray:
+        """Rows of the two nodes of each site among those of all rods, one rod after another, shape (n_site, 2)."""
+        return self.site_rod * self.n_node + self.site_node
 
 
 def build_lattice(design: LatticeDesign) -> Lattice:

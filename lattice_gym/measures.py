@@ -1,7 +1,8 @@
 """Named quantities of a state: what a motion came to, read from node positions alone.
 
-Everywhere `position` is the concatenated array of all nodes [m], shape (n_node, 3), structure rods first, and is never
-written to. Heights and azimuths are those of the rest shape, so they name material points, not places.
+Everywhere `position` is the concatenated array of all nodes [m], shape (..., n_node, 3), structure rods first, and is
+never written to; leading axes, of worms or times, are kept. Heights and azimuths are those of the rest shape, so they
+name material points, not places.
 """
 
 from __future__ import annotations
@@ -33,32 +34,41 @@ STANDING = 0.05
 """A wave of a lower index goes nowhere: it has no direction and no speed."""
 
 
-def site_nodes(lattice: Lattice) -> IntArray:
-    """Rows of the concatenated node array that meet at each site, shape (n_site, 2)."""
-    return lattice.site_rod * lattice.n_node + lattice.site_node
-
-
 def site_positions(lattice: Lattice, position: FloatArray) -> FloatArray:
-    """Place of every site [m], shape (n_site, 3): the mean of the two nodes that meet there."""
-    nodes = site_nodes(lattice)
-    mean: FloatArray = 0.5 * (position[nodes[:, 0]] + position[nodes[:, 1]])
+    """Place of every site [m], shape (..., n_site, 3): the mean of the two nodes that meet there."""
+    return _sites(lattice, position, slice(None))
+
+
+def _sites(lattice: Lattice, position: FloatArray, sites: IntArray | slice) -> FloatArray:
+    first, second = lattice.site_nodes[sites].T
+    mean: FloatArray = 0.5 * (position.take(first, axis=-2) + position.take(second, axis=-2))
     return mean
 
 
-def strain(lattice: Lattice, position: FloatArray) -> float:
-    """Mean rise of the structure rods' top nodes over the rest height (Schaffer et al. 2024): positive is longer.
+def strain(lattice: Lattice, position: FloatArray) -> FloatArray:
+    """Mean rise of the structure rods' top nodes over the rest height, shape (...,): positive is longer.
 
-    The rise is taken from the rods' lowest nodes, along the third axis of `base_frame`, so that a free body does not
-    stretch by moving away or tipping over.
+    As in Schaffer et al. 2024. The rise is taken from the rods' lowest nodes, along the third axis of `base_frame`, so
+    that a free body does not stretch by moving away or tipping over.
     """
-    rods = position[: lattice.n_rod * lattice.n_node].reshape(lattice.n_rod, lattice.n_node, 3)
+    n_node, end = lattice.n_node, lattice.n_rod * lattice.n_node
+    chord = position[..., n_node - 1 : end : n_node, :] - position[..., 0:end:n_node, :]
     rest = lattice.position[:, -1, 2] - lattice.position[:, 0, 2]
-    rise = (rods[:, -1] - rods[:, 0]) @ base_frame(lattice, position)[2] - rest
-    return float(rise.mean()) / lattice.design.height
+    rise = _in_base(lattice, position, chord)[..., 2] - rest
+    share: FloatArray = rise.mean(axis=-1) / lattice.design.height
+    return share
+
+
+def _in_base(lattice: Lattice, position: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Vectors, shape (..., n, 3), along the axes of `base_frame`."""
+    if lattice.design.base == "clamped":
+        return vectors
+    turned: FloatArray = vectors @ np.swapaxes(base_frame(lattice, position), -1, -2)
+    return turned
 
 
 def base_frame(lattice: Lattice, position: FloatArray) -> FloatArray:
-    """Axes that move with the base, as rows, shape (3, 3): the world's where it is clamped.
+    """Axes that move with the base, as rows, shape (..., 3, 3); the world's where it is clamped, shape (3, 3).
 
     Under a free body the third is the normal of the bottom ring, and the first two are turned about it with the ring's
     sites (least squares), so that a rigid motion changes nothing that is measured along them.
@@ -66,14 +76,14 @@ def base_frame(lattice: Lattice, position: FloatArray) -> FloatArray:
     if lattice.design.base == "clamped":
         return np.eye(3)
     sites = bottom_sites(lattice)
-    ring, rest = site_positions(lattice, position)[sites], lattice.site_position[sites]
-    up, spoke, rest_spoke = _normal(ring, "bottom"), ring - ring.mean(axis=0), rest - rest.mean(axis=0)
-    first = rest_spoke[:, 0] @ spoke + rest_spoke[:, 1] @ np.cross(spoke, up)
-    first -= (first @ up) * up
-    size = float(np.linalg.norm(first))
-    if not size > 0.0:
+    ring, rest = _sites(lattice, position, sites), lattice.site_position[sites]
+    up, spoke, rest_spoke = _normal(ring, "bottom"), ring - _centre(ring)[..., None, :], rest - rest.mean(axis=0)
+    first = rest_spoke[:, 0] @ spoke + rest_spoke[:, 1] @ _cross(spoke, up[..., None, :])
+    first -= np.sum(first * up, axis=-1, keepdims=True) * up
+    size = _norm(first)[..., None]
+    if not (size > 0.0).all():
         raise ValueError("position: the bottom ring is too far from its rest shape to tell how it is turned")
-    return np.stack([first / size, np.cross(up, first / size), up])
+    return np.stack([first / size, _cross(up, first / size), up], axis=-2)
 
 
 def bottom_sites(lattice: Lattice) -> IntArray:
@@ -97,104 +107,139 @@ def _ring(lattice: Lattice, name: str, mask: npt.NDArray[np.bool_]) -> IntArray:
 
 
 def top_centre(lattice: Lattice, position: FloatArray) -> FloatArray:
-    """Mean place of the top ring's sites [m], shape (3,)."""
-    centre: FloatArray = site_positions(lattice, position)[top_sites(lattice)].mean(axis=0)
-    return centre
+    """Mean place of the top ring's sites [m], shape (..., 3)."""
+    return _centre(_sites(lattice, position, top_sites(lattice)))
 
 
 def top_normal(lattice: Lattice, position: FloatArray) -> FloatArray:
-    """Return the unit normal of the top ring, shape (3,): the direction of the area vector of its sites."""
-    return _normal(site_positions(lattice, position)[top_sites(lattice)], "top")
+    """Return the unit normal of the top ring, shape (..., 3): the direction of the area vector of its sites."""
+    return _normal(_sites(lattice, position, top_sites(lattice)), "top")
 
 
 def _normal(ring: FloatArray, name: str) -> FloatArray:
-    spoke = ring - ring.mean(axis=0)
-    area = np.cross(spoke, np.roll(spoke, -1, axis=0)).sum(axis=0)
-    size = float(np.linalg.norm(area))
-    if not size > 0.0:
-        raise ValueError(f"position: the {name} ring must enclose an area, got area vector {area.tolist()}")
-    unit: FloatArray = area / size
+    spoke = ring - _centre(ring)[..., None, :]
+    area = _cross(spoke, np.roll(spoke, -1, axis=-2)).sum(axis=-2)
+    size = _norm(area)
+    if not (size > 0.0).all():
+        found = area[~(size > 0.0)].tolist()[0]
+        raise ValueError(f"position: the {name} ring must enclose an area, got area vector {found}")
+    unit: FloatArray = area / size[..., None]
     return unit
 
 
+def _norm(vectors: FloatArray) -> FloatArray:
+    """Lengths of vectors, shape (...,) of (..., 3); several times faster than numpy's for many short ones."""
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    length: FloatArray = np.sqrt(x * x + y * y + z * z)
+    return length
+
+
+def _centre(points: FloatArray) -> FloatArray:
+    """Mean of points, shape (..., 3) of (..., n, 3)."""
+    total: FloatArray = points[..., 0, :].copy()
+    for k in range(1, points.shape[-2]):
+        total += points[..., k, :]
+    return total / points.shape[-2]
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products, shape (..., 3)."""
+    back, on = [1, 2, 0], [2, 0, 1]
+    product: FloatArray = a[..., back] * b[..., on] - a[..., on] * b[..., back]
+    return product
+
+
 def bend_vector(lattice: Lattice, position: FloatArray) -> FloatArray:
-    """Bend angle [rad] times the horizontal unit vector the top leans towards, shape (2,); zero where it is upright.
+    """Bend angle [rad] times the horizontal unit vector the top leans towards, shape (..., 2); zero where upright.
 
     The angle is between the normals of the top ring and of the base, which is vertical where it is clamped; the vector
     is along the first two axes of `base_frame`. So a rigid motion of a free body is no bend.
     """
-    normal = base_frame(lattice, position) @ top_normal(lattice, position)
-    horizontal = float(np.hypot(normal[0], normal[1]))
-    if horizontal < LEAST_BEND:
-        return np.array([0.0 if normal[2] > 0.0 else np.pi, 0.0])
-    lean: FloatArray = normal[:2] * (np.arctan2(horizontal, normal[2]) / horizontal)
-    return lean
+    normal = _in_base(lattice, position, top_normal(lattice, position)[..., None, :])[..., 0, :]
+    horizontal = np.hypot(normal[..., 0], normal[..., 1])
+    upright = horizontal < LEAST_BEND
+    angle = np.arctan2(horizontal, normal[..., 2]) / np.where(upright, 1.0, horizontal)
+    over = np.stack([np.where(normal[..., 2] > 0.0, 0.0, np.pi), np.zeros_like(horizontal)], axis=-1)
+    return np.where(upright[..., None], over, normal[..., :2] * angle[..., None])
 
 
-def bend_angle(lattice: Lattice, position: FloatArray) -> float:
-    """Angle between the normals of the top ring and of the base [rad], in [0, pi] (Schaffer et al. 2024)."""
-    return float(np.hypot(*bend_vector(lattice, position)))
+def bend_angle(lattice: Lattice, position: FloatArray) -> FloatArray:
+    """Angle between the normals of the top ring and of the base [rad], in [0, pi], shape (...,).
 
-
-def bend_direction(lattice: Lattice, position: FloatArray) -> float:
-    """Azimuth that the top leans towards [rad], in [0, 2 pi); 0 where it stands upright."""
+    As in Schaffer et al. 2024.
+    """
     lean = bend_vector(lattice, position)
-    return azimuth_of(lean)
+    angle: FloatArray = np.hypot(lean[..., 0], lean[..., 1])
+    return angle
 
 
-def azimuth_of(vector: FloatArray) -> float:
-    """Azimuth of a horizontal vector [rad], in [0, 2 pi)."""
-    azimuth = float(np.arctan2(vector[1], vector[0])) % (2.0 * np.pi)
-    return azimuth if azimuth < 2.0 * np.pi else 0.0
+def bend_direction(lattice: Lattice, position: FloatArray) -> FloatArray:
+    """Azimuth that the top leans towards [rad], in [0, 2 pi), shape (...,); 0 where it stands upright."""
+    return azimuth_of(bend_vector(lattice, position))
+
+
+def azimuth_of(vector: FloatArray) -> FloatArray:
+    """Azimuth of horizontal vectors, shape (..., 2), [rad], in [0, 2 pi), shape (...,)."""
+    azimuth = np.arctan2(vector[..., 1], vector[..., 0]) % (2.0 * np.pi)
+    return np.where(azimuth < 2.0 * np.pi, azimuth, 0.0)
 
 
 def ring_radii(lattice: Lattice, position: FloatArray) -> FloatArray:
-    """Mean distance of each level's sites to their centroid [m], shape (n_level,). No common levels: ValueError."""
+    """Mean distance of each level's sites to their centroid [m], shape (..., n_level). No common levels: ValueError."""
     return _rings(lattice, position)[1]
 
 
 def _rings(lattice: Lattice, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Centroid of each level's sites [m], shape (n_level, 3), and their mean distance to it [m], shape (n_level,)."""
-    level = lattice.site_level
-    if lattice.n_level == 0 or level.min() < 0:
+    """Centroid of each level's sites [m], shape (..., n_level, 3), and their mean distance to it, (..., n_level)."""
+    if lattice.n_level == 0:
         raise ValueError("lattice: its sites share no common levels (uneven phases), so it has no ring radii")
+    # Sites are sorted by height, and every level has as many.
     site = site_positions(lattice, position)
-    count = np.bincount(level, minlength=lattice.n_level)
-    centre = np.stack([np.bincount(level, site[:, i], lattice.n_level) for i in range(3)], axis=1) / count[:, None]
-    radii: FloatArray = np.bincount(level, np.linalg.norm(site - centre[level], axis=1), lattice.n_level) / count
-    return centre, radii
+    ring = site.reshape(*site.shape[:-2], lattice.n_level, -1, 3)
+    centre = _centre(ring)
+    return centre, _norm(ring - centre[..., None, :]).mean(axis=-1)
 
 
 @dataclass(frozen=True)
 class Lodging:
-    """Where in the body a point lies: `lodging`."""
+    """Where in the body points lie: `lodging`; all of shape (...,)."""
 
-    height: float
+    height: FloatArray
     """Rest height of the place on the body's axis nearest to it [m]; 0 or the full height where it is out by an end."""
-    outside: bool
+    outside: npt.NDArray[np.bool_]
     """Beside the body: further from the axis than the ring there."""
-    end: int
+    end: IntArray
     """+1 out by the top end, -1 by the bottom end, 0 between them."""
+
+    @property
+    def left(self) -> npt.NDArray[np.bool_]:
+        """Out of the body, whichever way."""
+        out: npt.NDArray[np.bool_] = self.outside | (self.end != 0)
+        return out
 
 
 def lodging(lattice: Lattice, position: FloatArray, point: FloatArray) -> Lodging:
-    """Place of a point [m], shape (3,), in the body, whose axis runs from ring centre to ring centre, level by level.
+    """Place of points [m], shape (..., 3), in the body, whose axis runs from ring centre to ring centre.
 
     It is out by an end where it lies beyond the plane through the last ring's centre across the axis there; else beside
     the body where its distance from the axis exceeds the radii of the two rings around it, taken linear between them.
     """
     centre, radius = _rings(lattice, position)
-    side, way = np.diff(centre, axis=0), point - centre[:-1]
-    share = np.sum(way * side, axis=1) / np.sum(side * side, axis=1)
-    if share[0] < 0.0 and share[-1] < 1.0:
-        return Lodging(0.0, False, -1)
-    if share[-1] > 1.0 and share[0] > 0.0:
-        return Lodging(float(lattice.level_height[-1]), False, 1)
+    side, way = np.diff(centre, axis=-2), point[..., None, :] - centre[..., :-1, :]
+    share = np.sum(way * side, axis=-1) / np.sum(side * side, axis=-1)
+    below, above = (share[..., 0] < 0.0) & (share[..., -1] < 1.0), (share[..., -1] > 1.0) & (share[..., 0] > 0.0)
+    end = above.astype(np.int64) - below
     share = np.clip(share, 0.0, 1.0)
-    distance = np.linalg.norm(way - share[:, None] * side, axis=1)
-    k = int(np.argmin(distance))
-    height, reach = (row[k] + share[k] * (row[k + 1] - row[k]) for row in (lattice.level_height, radius))
-    return Lodging(float(height), bool(distance[k] > reach), 0)
+    distance = _norm(way - share[..., None] * side)
+    k = np.argmin(distance, axis=-1)[..., None]
+    nearest, share, low, high = (
+        np.take_along_axis(values, at, axis=-1)[..., 0]
+        for values, at in ((distance, k), (share, k), (radius, k), (radius, k + 1))
+    )
+    lower, upper = lattice.level_height[k[..., 0]], lattice.level_height[k[..., 0] + 1]
+    top = float(lattice.level_height[-1])
+    height = np.where(end == 0, lower + share * (upper - lower), np.where(end > 0, top, 0.0))
+    return Lodging(height, (nearest > low + share * (high - low)) & (end == 0), end)
 
 
 @dataclass(frozen=True)
@@ -299,61 +344,58 @@ def _phase_slope(values: npt.NDArray[np.complex128], at: FloatArray) -> float:
     return float((weight * offset) @ phase / ((weight * offset) @ offset))
 
 
-def joint_gap(model: RodModel, position: FloatArray) -> float:
-    """Largest distance between two nodes that a joint holds together [m]; 0 without joints."""
+def joint_gap(model: RodModel, position: FloatArray) -> FloatArray:
+    """Largest distance between two nodes that a joint holds together [m], shape (...,); 0 without joints."""
     first, second = model.tie_nodes(model.joints)
-    gap = np.linalg.norm(position[first] - position[second], axis=1)
-    return float(gap.max(initial=0.0))
+    gap: FloatArray = _norm(position[..., first, :] - position[..., second, :]).max(axis=-1, initial=0.0)
+    return gap
 
 
 def mass_centre(model: RodModel, position: FloatArray) -> FloatArray:
-    """Centre of mass of the whole assembly [m], shape (3,)."""
+    """Centre of mass of the whole assembly [m], shape (..., 3)."""
     centre: FloatArray = model.node_mass @ position / model.node_mass.sum()
     return centre
 
 
 def muscle_lengths(model: RodModel, position: FloatArray) -> FloatArray:
-    """Length of every muscle along its rod, or of its line [m], shape (n_muscle,), in the order of their tensions."""
-    along = np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))
-    rods = np.array(model.muscles, dtype=np.int64)
-    first, last = model.node_offset[rods], model.node_offset[rods + 1] - 1
-    start, end = model.tie_nodes(model.lines)
-    lines = np.linalg.norm(position[start] - position[end], axis=1)
-    return np.concatenate([along[last - 1] - np.where(first > 0, along[first - 1], 0.0), lines])
+    """Length of every muscle along its rod, or of its line [m], shape (..., n_muscle), in the order of tensions."""
+    (lower, start), (one, other) = model.muscle_elements, model.line_nodes
+    along = _norm(position.take(lower + 1, axis=-2) - position.take(lower, axis=-2))
+    rods = np.add.reduceat(along, start, axis=-1) if start.size else along
+    return np.concatenate([rods, _norm(position.take(one, axis=-2) - position.take(other, axis=-2))], axis=-1)
 
 
 def dilatation(model: RodModel, position: FloatArray) -> FloatArray:
-    """Length of every element over its rest length, shape (n_elem,)."""
+    """Length of every element over its rest length, shape (..., n_elem)."""
     rest = np.concatenate([rod.rest_length for rod in model.rods])
     lower = np.delete(np.arange(model.n_node), model.node_offset[1:] - 1)
-    ratio: FloatArray = np.linalg.norm(position[lower + 1] - position[lower], axis=1) / rest
+    ratio: FloatArray = _norm(position[..., lower + 1, :] - position[..., lower, :]) / rest
     return ratio
 
 
 def muscle_strain(model: RodModel, position: FloatArray) -> FloatArray:
-    """Length over rest length, less 1, of every muscle, shape (n_muscle,)."""
-    rods = np.add.reduceat(np.concatenate([rod.rest_length for rod in model.rods]), model.element_offset[:-1])
-    rest = np.concatenate([rods[list(model.muscles)], [line.rest_length for line in model.lines]])
-    strain: FloatArray = muscle_lengths(model, position) / rest - 1.0
-    return strain
+    """Length over rest length, less 1, of every muscle, shape (..., n_muscle)."""
+    stretch: FloatArray = muscle_lengths(model, position) / model.muscle_rest_length - 1.0
+    return stretch
 
 
-def straightness(lattice: Lattice, model: RodModel, position: FloatArray) -> float:
-    """Chord over length of the most crooked stretch of rod, relative to rest: 1 = as at rest, less = buckled.
+def straightness(lattice: Lattice, model: RodModel, position: FloatArray) -> FloatArray:
+    """Chord over length of the most crooked stretch of rod, relative to rest, shape (...,): 1 = as at rest.
 
-    A stretch is a structure rod from one crossing to the next, or a whole muscle.
+    Less is buckled. A stretch is a structure rod from one crossing to the next, or a whole muscle.
     """
     shares = []
     for index, rod in enumerate(model.rods):
         step = lattice.design.elements_per_segment if index < lattice.n_rod else rod.n_elem
-        now, rest = (_chord_share(nodes, step) for nodes in (position[model.nodes(index)], rod.position))
-        shares.append(now / rest)
-    return float(np.concatenate(shares).min())
+        nodes = position[..., model.nodes(index), :]
+        shares.append(_chord_share(nodes, step) / _chord_share(rod.position, step))
+    least: FloatArray = np.concatenate(shares, axis=-1).min(axis=-1)
+    return least
 
 
 def _chord_share(nodes: FloatArray, step: int) -> FloatArray:
-    """Chord over length of each stretch of `step` elements, shape (n_elem / step,)."""
-    length = np.linalg.norm(np.diff(nodes, axis=0), axis=1).reshape(-1, step).sum(axis=1)
-    chord = np.linalg.norm(np.diff(nodes[::step], axis=0), axis=1)
-    share: FloatArray = chord / length
+    """Chord over length of each stretch of `step` elements, shape (..., n_elem / step)."""
+    length = _norm(np.diff(nodes, axis=-2))
+    chord = _norm(np.diff(nodes[..., ::step, :], axis=-2))
+    share: FloatArray = chord / length.reshape(*length.shape[:-1], -1, step).sum(axis=-1)
     return share

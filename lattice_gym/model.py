@@ -587,6 +587,24 @@ class RodModel:
         second = [offset[tie.rod_b] + tie.node_b for tie in ties]
         return np.array(first, dtype=np.int64), np.array(second, dtype=np.int64)
 
+    @cached_property
+    def line_nodes(self) -> tuple[IntArray, IntArray]:
+        """Rows of the first and of the second node of every line, shape (n_line,) each."""
+        return self.tie_nodes(self.lines)
+
+    @cached_property
+    def muscle_elements(self) -> tuple[IntArray, IntArray]:
+        """Rows of the lower nodes of all elements of rods that contract, and where in them each such rod begins."""
+        lower = [np.arange(self.nodes(rod).start, self.nodes(rod).stop - 1) for rod in self.muscles]
+        start = np.cumsum([0] + [len(rows) for rows in lower])[:-1]
+        return np.concatenate([np.zeros(0, np.int64), *lower]), start
+
+    @cached_property
+    def muscle_rest_length(self) -> FloatArray:
+        """Length of every muscle at rest [m], shape (n_muscle,)."""
+        rods = [float(self.rods[rod].rest_length.sum()) for rod in self.muscles]
+        return np.array(rods + [float(line.rest_length) for line in self.lines])
+
     def nodes(self, rod: int) -> slice:
         """Rows of a rod's nodes."""
         return slice(int(self.node_offset[rod]), int(self.node_offset[rod + 1]))
@@ -675,6 +693,31 @@ class RodState:
                 _require(
                     not self.omega[model.elements(clamp.rod)][clamp.element].any(), f"RodState.omega: {clamp} turns"
                 )
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What is seen of worms that move side by side: one row a worm."""
+
+    position: FloatArray
+    """Node positions [m], shape (n_worm, n_node, 3)."""
+    velocity: FloatArray
+    """Node velocities [m/s], shape (n_worm, n_node, 3)."""
+    bolus_position: FloatArray
+    """Positions of the balls' centres [m], shape (n_worm, n_bolus, 3)."""
+    bolus_velocity: FloatArray
+    """[m/s], shape (n_worm, n_bolus, 3)"""
+
+    @classmethod
+    def of(cls, state: RodState) -> Motion:
+        """Motion of a single worm."""
+        parts = (state.position, state.velocity, state.bolus_position, state.bolus_velocity)
+        return cls(*(part[None] for part in parts))
+
+    def rows(self, worms: IntArray) -> Motion:
+        """Motion of some of the worms, shape (n,) of their rows."""
+        parts = (self.position, self.velocity, self.bolus_position, self.bolus_velocity)
+        return Motion(*(part[worms] for part in parts))
 
 
 def build_model(

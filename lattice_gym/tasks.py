@@ -1,12 +1,12 @@
 """What the worm is asked to do: a command, reward terms and an outcome, one small final class a task.
 
-A task reads named quantities of the state (measures.py) and keeps nothing between episodes but what it was built with.
+A task reads named quantities of the motion (measures.py) of one worm or of several side by side, all at once: whatever
+it keeps and gives has a row a worm. It keeps nothing between episodes but what it was built with.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import product
@@ -15,11 +15,10 @@ from typing import Any, ClassVar, NamedTuple, final
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import TURN, FloatArray, is_number, shown
+from lattice_gym.design import TURN, FloatArray, IntArray, is_number, shown
 from lattice_gym.lattice import Lattice
 from lattice_gym.measures import (
     Lodging,
-    TravellingWave,
     azimuth_of,
     base_frame,
     bend_vector,
@@ -32,7 +31,7 @@ from lattice_gym.measures import (
     top_sites,
     travelling_wave,
 )
-from lattice_gym.model import RodModel, RodState, build_model
+from lattice_gym.model import Motion, RodModel, RodState, build_model
 from lattice_gym.muscles import named_layout
 from lattice_gym.world import Bolus, Ground, Medium, World
 
@@ -85,6 +84,8 @@ class Task(ABC):
         Numbers to hold, or lists to draw one from for every episode, by name; the others are drawn from their ranges.
     model
         The assembly that moves; None: see `model`.
+    n_worm
+        Number of worms; each has episodes of its own.
 
     """
 
@@ -103,13 +104,22 @@ class Task(ABC):
     travels: ClassVar[bool] = False
     """Whether the body goes elsewhere: points are then observed from their mean, but for its height."""
     strength: FloatArray | float = 1.0
-    """Strength of every muscle in the step that ends, over the design's; the environment puts it here."""
+    """Strength of every muscle in the step that ends, over the design's, shape (n_worm, n_muscle) or ().
+
+    The environment puts it here.
+    """
 
     def __init__(
-        self, lattice: Lattice, control_dt: float, command: Given | None = None, model: RodModel | None = None
+        self,
+        lattice: Lattice,
+        control_dt: float,
+        command: Given | None = None,
+        model: RodModel | None = None,
+        n_worm: int = 1,
     ) -> None:
         self.lattice = lattice
         self.control_dt = control_dt
+        self.n_worm = n_worm
         if model is not None:
             self.model = model
         self._prepare()
@@ -117,11 +127,13 @@ class Task(ABC):
         self.among = {name: bounds.among for name, bounds in self.commands.items() if bounds.among}
         self.among |= self._checked("command", command)
         """Numbers that are drawn from a few, or held: those few, by name."""
-        self.command = {
-            name: self.among[name][0] if name in self.among else 0.5 * (bounds.low + bounds.high)
+        self.commanded = {
+            name: np.full(n_worm, self.among[name][0] if name in self.among else 0.5 * (bounds.low + bounds.high))
             for name, bounds in self.commands.items()
         }
-        """The numbers now commanded, by name."""
+        """The numbers now commanded, by name, shape (n_worm,) each."""
+        self.memory = {name: np.repeat(value[None], n_worm, axis=0) for name, value in self._blank().items()}
+        """What an episode is remembered by, by name, a row a worm."""
 
     @classmethod
     def surroundings(cls, lattice: Lattice) -> World:
@@ -134,9 +146,22 @@ class Task(ABC):
         layout = named_layout(self.layout, self.lattice)
         return build_model(self.lattice, layout, self.surroundings(self.lattice))
 
-    def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None) -> None:
-        """Start an episode: draw the command, with what the constructor or the options give (the latter win)."""
-        self.command = self._drawn(rng, options)
+    def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None, worm: int = 0) -> None:
+        """Start an episode of a worm: draw its command, with what constructor or options give (the latter win)."""
+        command = self._drawn(rng, options)
+        for name, number in command.items():
+            self.commanded[name][worm] = number
+        for name, value in self._blank().items():
+            self.memory[name][worm] = value
+
+    @property
+    def command(self) -> dict[str, float]:
+        """The numbers now commanded of the first worm, by name."""
+        return self.command_of(0)
+
+    def command_of(self, worm: int) -> dict[str, float]:
+        """Return the numbers now commanded of a worm, by name."""
+        return {name: float(values[worm]) for name, values in self.commanded.items()}
 
     @cached_property
     def rest(self) -> RodState:
@@ -144,24 +169,60 @@ class Task(ABC):
         return self.model.rest_state()
 
     @abstractmethod
-    def observe(self, state: RodState, time: float) -> FloatArray:
-        """Return what is asked for at a time [s], scaled to order one, shape (len(bounds),)."""
+    def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
+        """Return what is asked for at times [s], shape (n_worm,), scaled to order one, shape (n_worm, len(bounds))."""
 
     @abstractmethod
-    def terms(self, state: RodState, activation: FloatArray, time: float) -> dict[str, float]:
-        """Signed reward terms at the end of a control step; called once for each, in order."""
+    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+        """Signed reward terms at the end of a control step, shape (n_worm,) each; called once for each, in order.
+
+        Parameters
+        ----------
+        motion
+            Of all worms.
+        activation
+            Of every muscle, shape (n_worm, n_muscle).
+        time
+            Since the start of each worm's episode [s], shape (n_worm,).
+
+        """
 
     @abstractmethod
-    def outcome(self, state: RodState) -> dict[str, float]:
-        """Return what the motion came to by now, apart from the reward."""
+    def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
+        """Return what the motion came to by now, apart from the reward, shape (n,) each.
 
-    def over(self, state: RodState) -> bool:
-        """Tell whether nothing more can come of the episode."""
-        return False
+        Motion and rows are those of n of the worms.
+        """
+
+    def over(self, motion: Motion) -> npt.NDArray[np.bool_]:
+        """Tell for each worm of a motion whether nothing more can come of its episode, shape (n,)."""
+        return np.zeros(len(motion.position), dtype=np.bool_)
+
+    def caption(self, state: RodState | Motion, worm: int = 0) -> str:
+        """Outcome of a worm as a line with units, beside what was asked; empty while there is nothing to tell.
+
+        The state is that worm's, or its row of a motion.
+        """
+        motion = state if isinstance(state, Motion) else Motion.of(state)
+        outcome = self.outcome(motion, np.array([worm]))
+        return self._caption({name: float(values[0]) for name, values in outcome.items()}, worm)
 
     @abstractmethod
-    def caption(self, state: RodState) -> str:
-        """Return the outcome as a line with units, beside what was asked; empty while there is nothing to tell."""
+    def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
+        """Line for an outcome of a worm."""
+
+    def _blank(self) -> dict[str, FloatArray]:
+        """Memory of one worm at the start of its episode."""
+        return {}
+
+    def remembered(self, worms: IntArray) -> dict[str, FloatArray]:
+        """Copy of the memory of some worms."""
+        return {name: values[worms] for name, values in self.memory.items()}
+
+    def remind(self, worms: IntArray, memory: Mapping[str, FloatArray]) -> None:
+        """Put back what `remembered` gave, as if the step since had not been."""
+        for name, values in memory.items():
+            self.memory[name][worms] = values
 
     @abstractmethod
     def _commands(self) -> dict[str, Command]:
@@ -210,20 +271,32 @@ class GoalTask(Task):
     """The reward term that goals alone decide."""
 
     @abstractmethod
-    def achieved(self, state: RodState) -> npt.NDArray[np.float32]:
-        """Goal that a state has reached, shape (n_goal,)."""
+    def achieved(self, motion: Motion) -> npt.NDArray[np.float32]:
+        """Goals that n worms have reached, shape (n, n_goal)."""
 
     @abstractmethod
     def desired(self) -> npt.NDArray[np.float32]:
-        """Goal that is asked for, shape (n_goal,)."""
+        """Goals that are asked for, shape (n_worm, n_goal)."""
 
     @abstractmethod
     def goal_reward(self, achieved: npt.NDArray[Any], desired: npt.NDArray[Any]) -> FloatArray:
         """Term `goal_term` for goals of shape (..., n_goal), shape (...)."""
 
 
-def _effort(activation: FloatArray) -> float:
-    return -EFFORT_WEIGHT * float(np.mean(activation**2))
+def _effort(activation: FloatArray) -> FloatArray:
+    price: FloatArray = -EFFORT_WEIGHT * np.mean(activation**2, axis=-1)
+    return price
+
+
+def _goal_distance(achieved: npt.NDArray[np.float32], desired: npt.NDArray[np.float32]) -> FloatArray:
+    """Distances between goals of shape (n, 3), in heights."""
+    apart: FloatArray = GOAL_SCALE * np.linalg.norm(desired.astype(np.float64) - achieved, axis=-1)
+    return apart
+
+
+def _ratio(over: FloatArray, under: FloatArray, where: npt.NDArray[np.bool_]) -> FloatArray:
+    """Quotient, or 0 where there is none to give."""
+    return np.where(where, over / np.where(where, under, 1.0), 0.0)
 
 
 def _whole(degrees: float) -> int:
@@ -246,21 +319,21 @@ class _AxialTask(Task):
     def _prepare(self) -> None:
         _check_base(self.lattice)
 
-    def observe(self, state: RodState, time: float) -> FloatArray:
+    def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Nothing is commanded."""
-        return np.empty(0)
+        return np.empty((self.n_worm, 0))
 
-    def terms(self, state: RodState, activation: FloatArray, time: float) -> dict[str, float]:
+    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
         """Strain, positive where it is asked for, and effort."""
-        return {"strain": self.sign * strain(self.lattice, state.position), "effort": _effort(activation)}
+        return {"strain": self.sign * strain(self.lattice, motion.position), "effort": _effort(activation)}
 
-    def outcome(self, state: RodState) -> dict[str, float]:
+    def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Strain, positive when longer."""
-        return {"strain": strain(self.lattice, state.position)}
+        return {"strain": strain(self.lattice, motion.position)}
 
-    def caption(self, state: RodState) -> str:
+    def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
         """Strain in per cent."""
-        return f"strain {100.0 * strain(self.lattice, state.position):+.1f} %"
+        return f"strain {100.0 * outcome['strain']:+.1f} %"
 
     def _commands(self) -> dict[str, Command]:
         return {}
@@ -297,33 +370,32 @@ class Bending(Task):
         top_sites(self.lattice)  # refuses a lattice whose top is no plane
         _check_base(self.lattice)
 
-    def observe(self, state: RodState, time: float) -> FloatArray:
+    def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Cosine and sine of the commanded azimuth."""
         return self._towards()
 
-    def terms(self, state: RodState, activation: FloatArray, time: float) -> dict[str, float]:
+    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
         """Bend towards the commanded azimuth, sideways bend and effort."""
-        bend, towards = bend_vector(self.lattice, state.position), self._towards()
-        along = float(bend @ towards)
-        across = float(bend[1] * towards[0] - bend[0] * towards[1])
-        return {"bend": along, "sideways": -abs(across), "effort": _effort(activation)}
+        x, y = bend_vector(self.lattice, motion.position).T
+        cos, sin = self._towards().T
+        return {"bend": x * cos + y * sin, "sideways": -np.abs(y * cos - x * sin), "effort": _effort(activation)}
 
-    def outcome(self, state: RodState) -> dict[str, float]:
+    def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Bend angle and its direction [rad]."""
-        bend = bend_vector(self.lattice, state.position)
-        return {"bend_angle": float(np.hypot(*bend)), "bend_direction": azimuth_of(bend)}
+        bend = bend_vector(self.lattice, motion.position)
+        return {"bend_angle": np.hypot(bend[:, 0], bend[:, 1]), "bend_direction": azimuth_of(bend)}
 
-    def caption(self, state: RodState) -> str:
+    def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
         """Bend angle, its direction and the one asked for, in degrees."""
-        bend = bend_vector(self.lattice, state.position)
-        angle, towards, asked = np.degrees([np.hypot(*bend), azimuth_of(bend), self.command["azimuth"] % TURN])
+        asked = self.commanded["azimuth"][worm] % TURN
+        angle, towards, asked = np.degrees([outcome["bend_angle"], outcome["bend_direction"], asked])
         # What leans by less than is printed leans no way.
         way = f"towards {_whole(towards)} deg " if angle >= 0.05 else ""
         return f"bend {angle:.1f} deg {way}(asked: {_whole(asked)} deg)"
 
     def _towards(self) -> FloatArray:
-        azimuth = self.command["azimuth"]
-        return np.array([np.cos(azimuth), np.sin(azimuth)])
+        azimuth = self.commanded["azimuth"]
+        return np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
 
     def _commands(self) -> dict[str, Command]:
         return {"azimuth": Command(0.0, TURN, -TURN, TURN, "rad")}
@@ -364,9 +436,16 @@ class Peristalsis(Task):
     """Scale of the observed amplitude."""
 
     def __init__(
-        self, lattice: Lattice, control_dt: float, command: Given | None = None, model: RodModel | None = None
+        self,
+        lattice: Lattice,
+        control_dt: float,
+        command: Given | None = None,
+        model: RodModel | None = None,
+        n_worm: int = 1,
     ) -> None:
-        super().__init__(lattice, control_dt, command, model)
+        super().__init__(lattice, control_dt, command, model, n_worm)
+        self.memory["record"] = np.zeros((n_worm, 1, len(self.height)))
+        self._window = np.ones(n_worm, dtype=np.int64)
         drawn = {name: (bounds.low, bounds.high) for name, bounds in self.commands.items()} | self.among
         for speed, wavelength in product(drawn["speed"], drawn["wavelength"]):
             self._check_wave("command", {"speed": speed, "wavelength": wavelength})
@@ -382,75 +461,91 @@ class Peristalsis(Task):
         self.height = lattice.level_height[first:]
         self.rest_radius = ring_radii(lattice, lattice.position.reshape(-1, 3))
         self.first = first
-        self.recorded: deque[FloatArray] = deque()
 
-    def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None) -> None:
-        """Start an episode: draw the command and forget the recording."""
-        command = self._drawn(rng, options)
-        self._check_wave("options", command)
-        self.command = command
-        self.recorded = deque(maxlen=round(self.RECORDED_PERIODS * self._period() / self.control_dt))
+    def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None, worm: int = 0) -> None:
+        """Start an episode of a worm: draw its command and forget what was recorded of it."""
+        super().begin(rng, options, worm)
+        command = self.command_of(worm)
+        window = round(self.RECORDED_PERIODS * abs(command["wavelength"] / command["speed"]) / self.control_dt)
+        self._window[worm] = window
+        record = self.memory["record"]
+        if window > record.shape[1]:
+            # Rows are counted modulo the window of their worm, so that those of others stay where they are.
+            room = np.zeros((self.n_worm, window - record.shape[1], len(self.height)))
+            self.memory["record"] = np.concatenate([record, room], axis=1)
 
-    def observe(self, state: RodState, time: float) -> FloatArray:
+    def _blank(self) -> dict[str, FloatArray]:
+        return {"steps": np.zeros(())}
+
+    def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Cosine and sine of the wave's phase at the base; speed, wavelength and amplitude over what is typical."""
-        angle = self._phase(time)
-        height = self.lattice.design.height
-        speed, wavelength, amplitude = (self.command[name] for name in ("speed", "wavelength", "amplitude"))
-        return np.array(
-            [np.cos(angle), np.sin(angle), speed / height, wavelength / height, amplitude / self.TYPICAL_AMPLITUDE]
-        )
+        angle, height, typical = self._phase(time), self.lattice.design.height, self.TYPICAL_AMPLITUDE
+        speed, wavelength, amplitude = (self.commanded[name] for name in ("speed", "wavelength", "amplitude"))
+        seen = [np.cos(angle), np.sin(angle), speed / height, wavelength / height, amplitude / typical]
+        return np.stack(seen, axis=-1)
 
-    def target(self, time: float) -> FloatArray:
-        """Deviation asked of every level that can move, as a share of the rest radius, shape (n_level - first,)."""
-        angle = self._phase(time) - TURN * self.height / self.command["wavelength"]
-        wave: FloatArray = self.command["amplitude"] * np.cos(angle)
+    def target(self, time: FloatArray) -> FloatArray:
+        """Deviation asked of every level that can move, over the rest radius, shape (n_worm, n_level - first)."""
+        angle = self._phase(time)[:, None] - TURN * self.height / self.commanded["wavelength"][:, None]
+        wave: FloatArray = self.commanded["amplitude"][:, None] * np.cos(angle)
         return wave
 
-    def terms(self, state: RodState, activation: FloatArray, time: float) -> dict[str, float]:
-        """Share of the commanded wave that is followed, and effort."""
-        deviation = (ring_radii(self.lattice, state.position) / self.rest_radius - 1.0)[self.first :]
-        self.recorded.append(deviation)
-        target = self.target(time)
-        # sum target^2 - sum (deviation - target)^2, without the rounding of a difference
-        followed = float((2.0 * target - deviation) @ deviation)
-        error = float(np.sum((deviation - target) ** 2))
-        tracking = followed / (0.5 * len(target) * self.command["amplitude"] ** 2 + error)
-        return {"tracking": tracking, "effort": _effort(activation)}
+    def recorded(self, worm: int = 0) -> FloatArray:
+        """Deviations of a worm over the last two commanded periods, or as far back as it goes, shape (n, n_level)."""
+        steps, window = int(self.memory["steps"][worm]), int(self._window[worm])
+        rows = np.arange(max(steps - window, 0), steps) % window
+        found: FloatArray = self.memory["record"][worm, rows]
+        return found
 
-    def outcome(self, state: RodState) -> dict[str, float]:
+    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+        """Share of the commanded wave that is followed, and effort."""
+        deviation = (ring_radii(self.lattice, motion.position) / self.rest_radius - 1.0)[:, self.first :]
+        steps = self.memory["steps"]
+        self.memory["record"][np.arange(self.n_worm), steps.astype(np.int64) % self._window] = deviation
+        self.memory["steps"] = steps + 1.0
+        target = self.target(time)
+        error = deviation - target
+        # sum target^2 - sum (deviation - target)^2, without the rounding of a difference
+        followed = np.sum((target - error) * deviation, axis=-1)
+        whole = 0.5 * len(self.height) * self.commanded["amplitude"] ** 2 + np.sum(error * error, axis=-1)
+        return {"tracking": followed / whole, "effort": _effort(activation)}
+
+    def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Index, direction, speed [m/s] and amplitude (a share of the rest radius) of the wave.
 
         Measured over the last two commanded periods; 0 until two have passed.
         """
-        wave = self._wave() or TravellingWave(0.0, 0, 0.0)
-        return {
-            "wave_index": wave.index,
-            "wave_direction": float(wave.direction),
-            "wave_speed": wave.speed,
-            "wave_amplitude": wave.amplitude,
-        }
+        found = np.zeros((len(worms), 4))
+        for row, worm in zip(found, worms.tolist(), strict=True):
+            if self._whole_record(worm):
+                wave = travelling_wave(1.0 + self.recorded(worm), self.control_dt, self.height)
+                row[:] = *wave, wave.amplitude
+        return dict(zip(("wave_index", "wave_direction", "wave_speed", "wave_amplitude"), found.T, strict=True))
 
-    def caption(self, state: RodState) -> str:
+    def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
         """Index, way, speed and amplitude beside those asked for; empty until two commanded periods have passed."""
-        wave = self._wave()
-        if wave is None:
+        if not self._whole_record(worm):
             return ""
-        speed = self.command["speed"]
-        way = f"{WAYS[wave.direction]} at {wave.speed:.3f} m/s" if wave.direction else "going nowhere"
-        asked = f"{WAYS[int(np.sign(speed))]} at {abs(speed):.3f} m/s, {100.0 * self.command['amplitude']:.1f} %"
-        return f"wave index {wave.index:.2f}, {way}, amplitude {100.0 * wave.amplitude:.1f} % (asked: {asked})"
+        index, direction, speed, amplitude = outcome.values()
+        command = self.command_of(worm)
+        wish, size = command["speed"], 100.0 * command["amplitude"]
+        way = f"{WAYS[int(direction)]} at {speed:.3f} m/s" if direction else "going nowhere"
+        asked = f"{WAYS[int(np.sign(wish))]} at {abs(wish):.3f} m/s, {size:.1f} %"
+        return f"wave index {index:.2f}, {way}, amplitude {100.0 * amplitude:.1f} % (asked: {asked})"
 
-    def _wave(self) -> TravellingWave | None:
-        """Wave over the last two commanded periods; None until two have passed."""
-        if len(self.recorded) != self.recorded.maxlen:
-            return None
-        return travelling_wave(1.0 + np.array(self.recorded), self.control_dt, self.height)
+    def _whole_record(self, worm: int) -> bool:
+        """Whether two commanded periods have passed."""
+        return bool(self.memory["steps"][worm] >= self._window[worm])
 
-    def _phase(self, time: float) -> float:
-        return TURN * self.command["speed"] / self.command["wavelength"] * time + self.command["phase"]
+    def _phase(self, time: FloatArray) -> FloatArray:
+        rate = TURN * self.commanded["speed"] / self.commanded["wavelength"]
+        phase: FloatArray = rate * time + self.commanded["phase"]
+        return phase
 
-    def _period(self) -> float:
-        return abs(self.command["wavelength"] / self.command["speed"])
+    def _drawn(self, rng: np.random.Generator, options: Mapping[str, object] | None) -> dict[str, float]:
+        command = super()._drawn(rng, options)
+        self._check_wave("options", command)
+        return command
 
     def _check_wave(self, argument: str, command: Mapping[str, float]) -> None:
         """Refuse a wave that stands, or that is too fast to be sampled by control steps."""
@@ -506,23 +601,22 @@ class Reach(GoalTask):
         rest = self.model.rest_state().position
         self.origin = top_centre(self.lattice, rest)
         self.axes = base_frame(self.lattice, rest)
-        self.reach_time = 0.0
 
-    def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None) -> None:
-        """Start an episode: draw the target, which is not reached yet."""
-        super().begin(rng, options)
-        self.reach_time = 0.0
+    def _blank(self) -> dict[str, FloatArray]:
+        return {"reach_time": np.zeros(())}
 
-    def achieved(self, state: RodState) -> npt.NDArray[np.float32]:
-        """Displacement of the top's centre over GOAL_SCALE heights, shape (3,)."""
-        moved = self.axes @ (top_centre(self.lattice, state.position) - self.origin)
+    def achieved(self, motion: Motion) -> npt.NDArray[np.float32]:
+        """Displacement of the top's centre over GOAL_SCALE heights, shape (n, 3)."""
+        moved = top_centre(self.lattice, motion.position) - self.origin
         unit = GOAL_SCALE * self.lattice.design.height
-        return np.clip(moved / unit, -COMMAND_BOUND, COMMAND_BOUND).astype(np.float32)
+        along = np.sum(self.axes * moved[:, None, :], axis=-1)
+        return np.asarray(np.clip(along / unit, -COMMAND_BOUND, COMMAND_BOUND), dtype=np.float32)
 
     def desired(self) -> npt.NDArray[np.float32]:
-        """Displacement that is asked for over GOAL_SCALE heights, shape (3,)."""
-        azimuth, radius, rise = (self.command[name] for name in ("azimuth", "radius", "rise"))
-        return (np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), rise]) / GOAL_SCALE).astype(np.float32)
+        """Displacement that is asked for over GOAL_SCALE heights, shape (n_worm, 3)."""
+        azimuth, radius, rise = (self.commanded[name] for name in ("azimuth", "radius", "rise"))
+        target = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), rise], axis=-1)
+        return (target / GOAL_SCALE).astype(np.float32)
 
     def goal_reward(self, achieved: npt.NDArray[Any], desired: npt.NDArray[Any]) -> FloatArray:
         """Distance of the target from rest less that from the top's centre [heights]."""
@@ -530,34 +624,32 @@ class Reach(GoalTask):
         nearer: FloatArray = GOAL_SCALE * (np.linalg.norm(target, axis=-1) - np.linalg.norm(target - achieved, axis=-1))
         return nearer
 
-    def observe(self, state: RodState, time: float) -> FloatArray:
+    def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Way from the top's centre to the target, over GOAL_SCALE heights."""
-        way: FloatArray = np.clip(self.desired() - self.achieved(state), -COMMAND_BOUND, COMMAND_BOUND).astype(float)
-        return way
+        way = np.clip(self.desired() - self.achieved(motion), -COMMAND_BOUND, COMMAND_BOUND)
+        return np.asarray(way, dtype=np.float64)
 
-    def terms(self, state: RodState, activation: FloatArray, time: float) -> dict[str, float]:
+    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
         """How much nearer the target is than at rest, and effort."""
-        if self.reach_time == 0.0 and self._distance(state) <= self.REACHED:
-            self.reach_time = time
-        approach = float(self.goal_reward(self.achieved(state), self.desired()))
-        return {"approach": approach, "effort": _effort(activation)}
+        achieved, desired, reached = self.achieved(motion), self.desired(), self.memory["reach_time"]
+        new = (reached == 0.0) & (_goal_distance(achieved, desired) <= self.REACHED)
+        self.memory["reach_time"] = np.where(new, time, reached)
+        return {"approach": self.goal_reward(achieved, desired), "effort": _effort(activation)}
 
-    def outcome(self, state: RodState) -> dict[str, float]:
+    def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Distance from the target [m], whether it was reached at all (1 or 0), and when [s], 0 if not."""
+        reach_time = self.memory["reach_time"][worms]
+        distance = _goal_distance(self.achieved(motion), self.desired()[worms])
         return {
-            "distance": self._distance(state) * self.lattice.design.height,
-            "reached": float(self.reach_time > 0.0),
-            "reach_time": self.reach_time,
+            "distance": distance * self.lattice.design.height,
+            "reached": (reach_time > 0.0).astype(np.float64),
+            "reach_time": reach_time,
         }
 
-    def caption(self, state: RodState) -> str:
+    def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
         """Distance from the target, and when it was reached."""
-        reached = f", reached after {self.reach_time:.2f} s" if self.reach_time > 0.0 else ""
-        return f"{1000.0 * self.outcome(state)['distance']:.1f} mm from the target{reached}"
-
-    def _distance(self, state: RodState) -> float:
-        """Distance of the top's centre from the target [heights]."""
-        return GOAL_SCALE * float(np.linalg.norm(self.desired().astype(np.float64) - self.achieved(state)))
+        reached = f", reached after {outcome['reach_time']:.2f} s" if outcome["reached"] else ""
+        return f"{1000.0 * outcome['distance']:.1f} mm from the target{reached}"
 
     def _commands(self) -> dict[str, Command]:
         return {
@@ -602,54 +694,56 @@ class Crawl(Task):
         body = self.model.rods[0].position
         if not np.allclose(np.diff(body[:, 0]), np.diff(self.lattice.position[0, :, 2])):
             raise ValueError("world.lying = False: a worm that crawls must lie")
-        self._begin()
 
-    def _begin(self) -> None:
-        self.start = mass_centre(self.model, self.rest.position)
-        self.centre = self.start
-        self.length = muscle_lengths(self.model, self.rest.position)
-        self.activation = np.zeros(len(self.length))
-        self.work = self.time = 0.0
+    def _blank(self) -> dict[str, FloatArray]:
+        length = muscle_lengths(self.model, self.rest.position)
+        start = mass_centre(self.model, self.rest.position)
+        nothing = np.zeros(())
+        moved = {"start": start, "centre": start, "length": length, "activation": 0.0 * length}
+        return moved | {"work": nothing, "time": nothing}
 
-    def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None) -> None:
-        """Start an episode: draw the direction, from rest."""
-        super().begin(rng, options)
-        self._begin()
-
-    def observe(self, state: RodState, time: float) -> FloatArray:
+    def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Commanded direction along x, and how far the body is off course, to +y, in heights."""
-        aside = float((mass_centre(self.model, state.position) - self.start)[1]) / self.lattice.design.height
-        return np.array([self.command["direction"], np.clip(aside, -COMMAND_BOUND, COMMAND_BOUND)])
+        aside = self._way(motion, self.memory["start"])[:, 1]
+        return np.stack([self.commanded["direction"], np.clip(aside, -COMMAND_BOUND, COMMAND_BOUND)], axis=-1)
 
-    def terms(self, state: RodState, activation: FloatArray, time: float) -> dict[str, float]:
+    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
         """Way along the commanded direction in this step, and effort."""
-        centre, length = mass_centre(self.model, state.position), muscle_lengths(self.model, state.position)
-        way = float(centre[0] - self.centre[0]) * self.command["direction"] / self.lattice.design.height
+        centre, length = mass_centre(self.model, motion.position), muscle_lengths(self.model, motion.position)
+        before, design = self.memory, self.lattice.design
+        way = (centre - before["centre"])[:, 0] * self.commanded["direction"] / design.height
         # Tension is linear in time over the step, so its mean is that of its ends.
-        tension = 0.5 * self.lattice.design.max_tension * self.strength * (self.activation + activation)
-        self.work += float(tension @ np.maximum(self.length - length, 0.0))
-        self.centre, self.length, self.activation, self.time = centre, length, activation, time
+        tension = 0.5 * design.max_tension * self.strength * (before["activation"] + activation)
+        work = before["work"] + np.sum(tension * np.maximum(before["length"] - length, 0.0), axis=-1)
+        self.memory |= {"centre": centre, "length": length, "activation": activation.copy(), "work": work}
+        self.memory["time"] = time.copy()
         return {"progress": WAY_WEIGHT * way, "effort": _effort(activation)}
 
-    def outcome(self, state: RodState) -> dict[str, float]:
+    def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Speed along the command [body lengths a minute], drift off it [rad] and cost of transport, see env.py."""
-        way = (mass_centre(self.model, state.position) - self.start)[:2] / self.lattice.design.height
-        along = float(way[0]) * self.command["direction"]
-        moved = float(np.hypot(*way)) >= self.LEAST_WAY
+        start, time, work = (self.memory[name][worms] for name in ("start", "time", "work"))
+        way = self._way(motion, start)
+        along = way[:, 0] * self.commanded["direction"][worms]
+        moved = np.hypot(way[:, 0], way[:, 1]) >= self.LEAST_WAY
         gravity = 0.0 if self.model.gravity is None else float(np.linalg.norm(self.model.gravity))
         haul = float(self.model.node_mass.sum()) * gravity * along * self.lattice.design.height
         return {
-            "speed": 60.0 * along / self.time if self.time > 0.0 else 0.0,
-            "drift": float(np.arctan2(abs(way[1]), along)) if moved else 0.0,
-            "cost_of_transport": self.work / haul if along >= self.LEAST_WAY and haul > 0.0 else 0.0,
+            "speed": _ratio(60.0 * along, time, time > 0.0),
+            "drift": np.where(moved, np.arctan2(np.abs(way[:, 1]), along), 0.0),
+            "cost_of_transport": _ratio(work, haul, (along >= self.LEAST_WAY) & (haul > 0.0)),
         }
 
-    def caption(self, state: RodState) -> str:
+    def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
         """Speed along the command and drift."""
-        outcome, way = self.outcome(state), "+x" if self.command["direction"] > 0.0 else "-x"
+        way = "+x" if self.commanded["direction"][worm] > 0.0 else "-x"
         return (
             f"{outcome['speed']:+.1f} body lengths/min along {way}, {np.degrees(outcome['drift']):.0f} deg off course"
         )
+
+    def _way(self, motion: Motion, start: FloatArray) -> FloatArray:
+        """Way of the centre of mass along x and y since the start [heights], shape (n, 2)."""
+        way: FloatArray = (mass_centre(self.model, motion.position) - start)[:, :2] / self.lattice.design.height
+        return way
 
     def _commands(self) -> dict[str, Command]:
         return {"direction": Command(-1.0, 1.0, -1.0, 1.0, "1", (-1.0, 1.0))}
@@ -691,65 +785,62 @@ class Transport(Task):
         ring_radii(self.lattice, self.lattice.position.reshape(-1, 3))  # refuses a lattice without levels
         if self.model.n_bolus == 0:
             raise ValueError("world.bolus = None: there is nothing to carry")
-        self._begin()
 
-    def _begin(self) -> None:
-        self.start = self.height = self._lodging(self.rest).height
-        self.time = 0.0
+    def _blank(self) -> dict[str, FloatArray]:
+        height = self._lodging(Motion.of(self.rest)).height[0]
+        return {"start": height, "height": height, "time": np.zeros(())}
 
-    def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None) -> None:
-        """Start an episode: draw the direction, with the ball where it settled."""
-        super().begin(rng, options)
-        self._begin()
-
-    def observe(self, state: RodState, time: float) -> FloatArray:
+    def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Direction; the ball's way from its start over GOAL_SCALE heights, and its velocity in heights a second."""
         height = self.lattice.design.height
-        moved = (state.bolus_position[0] - self.rest.bolus_position[0]) / (GOAL_SCALE * height)
-        moving = np.concatenate([moved, state.bolus_velocity[0] / height])
-        return np.concatenate([[self.command["direction"]], np.clip(moving, -COMMAND_BOUND, COMMAND_BOUND)])
+        moved = (motion.bolus_position[:, 0] - self.rest.bolus_position[0]) / (GOAL_SCALE * height)
+        moving = np.clip(
+            np.concatenate([moved, motion.bolus_velocity[:, 0] / height], axis=-1), -COMMAND_BOUND, COMMAND_BOUND
+        )
+        return np.concatenate([self.commanded["direction"][:, None], moving], axis=-1)
 
-    def terms(self, state: RodState, activation: FloatArray, time: float) -> dict[str, float]:
+    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
         """Way of the ball along the command in this step, the price of losing it, and effort."""
-        height = self._lodging(state).height
-        way = self.command["direction"] * (height - self.height) / self.lattice.design.height
-        self.height, self.time = height, time
-        lost = -self.LOST if self._lost(state) else 0.0
+        place, direction = self._lodging(motion), self.commanded["direction"]
+        way = direction * (place.height - self.memory["height"]) / self.lattice.design.height
+        self.memory |= {"height": place.height, "time": time.copy()}
+        lost = np.where(_lost(place, direction), -self.LOST, 0.0)
         return {"progress": WAY_WEIGHT * way, "lost": lost, "effort": _effort(activation)}
 
-    def over(self, state: RodState) -> bool:
+    def over(self, motion: Motion) -> npt.NDArray[np.bool_]:
         """Tell whether the ball has left the body."""
-        place = self._lodging(state)
-        return place.outside or place.end != 0
+        return self._lodging(motion).left
 
-    def outcome(self, state: RodState) -> dict[str, float]:
+    def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Distance along the command [m], mean speed [m/s], whether it is held or lost, and delivered (1 or 0)."""
-        distance = self.command["direction"] * (self._lodging(state).height - self.start)
-        lost = self._lost(state)
+        place, direction, time = self._lodging(motion), self.commanded["direction"][worms], self.memory["time"][worms]
+        distance = direction * (place.height - self.memory["start"][worms])
+        lost = _lost(place, direction)
         return {
             "distance": distance,
-            "speed": distance / self.time if self.time > 0.0 else 0.0,
-            "held": float(not lost),
-            "delivered": float(self.over(state) and not lost),
+            "speed": _ratio(distance, time, time > 0.0),
+            "held": (~lost).astype(np.float64),
+            "delivered": (place.left & ~lost).astype(np.float64),
         }
 
-    def caption(self, state: RodState) -> str:
+    def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
         """Distance, speed, and what became of the ball."""
-        outcome, way = self.outcome(state), "up" if self.command["direction"] > 0.0 else "down"
+        way = "up" if self.commanded["direction"][worm] > 0.0 else "down"
         end = "" if outcome["held"] else ", lost"
         end = ", delivered" if outcome["delivered"] else end
         return f"{1e3 * outcome['distance']:+.1f} mm {way} at {1e3 * outcome['speed']:.1f} mm/s{end}"
 
-    def _lodging(self, state: RodState) -> Lodging:
-        return lodging(self.lattice, state.position, state.bolus_position[0])
-
-    def _lost(self, state: RodState) -> bool:
-        """Whether the ball has left the body other than by the commanded end."""
-        place = self._lodging(state)
-        return place.outside or place.end == -self.command["direction"]
+    def _lodging(self, motion: Motion) -> Lodging:
+        return lodging(self.lattice, motion.position, motion.bolus_position[:, 0])
 
     def _commands(self) -> dict[str, Command]:
         return {"direction": Command(-1.0, 1.0, -1.0, 1.0, "1", (-1.0, 1.0))}
+
+
+def _lost(place: Lodging, direction: FloatArray) -> npt.NDArray[np.bool_]:
+    """Whether a ball has left the body other than by the commanded end."""
+    lost: npt.NDArray[np.bool_] = place.outside | (place.end == -direction)
+    return lost
 
 
 EIGHT_TARGETS: Given = {"azimuth": [TURN * k / 8 for k in range(8)], "radius": 0.2, "rise": -0.05}
@@ -767,8 +858,9 @@ def make_task(
     control_dt: float,
     command: Given | None = None,
     model: RodModel | None = None,
+    n_worm: int = 1,
 ) -> Task:
     """Task by name; see Task for the arguments."""
     if not isinstance(name, str) or name not in TASKS:
         raise ValueError(f"task = {name!r}: must be one of {', '.join(TASKS)}")
-    return TASKS[name](lattice, control_dt, command, model)
+    return TASKS[name](lattice, control_dt, command, model, n_worm)

@@ -114,7 +114,7 @@ def test_strength_is_what_multiplies_the_tension() -> None:
     weak = LatticeWormEnv("extension", design=SMALL, adaptation=half, dt=2e-4)
     for env in (strong, weak):
         env.reset(seed=0)
-    weak._strength = Strength(*np.array([[1.0], [0.5], [0.0], [0.0]]) * np.ones(weak.model.n_muscle))
+    weak._episode.trained = Strength(*np.array([1.0, 0.5, 0.0, 0.0])[:, None, None] * np.ones(weak.model.n_muscle))
     for env in (strong, weak):
         env.step(np.ones(env.action_space.shape))
     np.testing.assert_allclose(strong.state.position, weak.state.position, atol=1e-15)
@@ -132,7 +132,7 @@ def test_the_environment_follows_the_law() -> None:
         active = 0.5 * (before + env.activation)
         tension = env.design.max_tension * active * strength.factor
         strain = muscle_strain(env.model, env.state.position)
-        np.testing.assert_allclose(env.task.strength, strength.factor, rtol=1e-14)
+        np.testing.assert_allclose(env.task.strength, strength.factor[None], rtol=1e-14)
         strength = adaptation.used(strength, active, tension, strain, env.control_dt)
         np.testing.assert_allclose(env.strength, strength.factor, rtol=1e-14)
         np.testing.assert_array_equal(observation[-env.model.n_muscle :], env.strength.astype(np.float32))

@@ -28,11 +28,14 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 import lattice_gym
 from lattice_gym.design import LatticeDesign
 from lattice_gym.engines import MAX_DILATATION, EngineName, Health, Status
-from lattice_gym.env import DIVERGENCE_PENALTY, OBSERVATION_BOUND, LatticeWormEnv, LatticeWormGoalEnv, _world
+from lattice_gym.env import LatticeWormEnv, LatticeWormGoalEnv, _world
+from lattice_gym.episode import DIVERGENCE_PENALTY
 from lattice_gym.fidelity import FidelityName
 from lattice_gym.lattice import build_lattice
 from lattice_gym.measures import muscle_lengths, site_positions
+from lattice_gym.model import Motion
 from lattice_gym.muscles import advance_activation, named_layout
+from lattice_gym.observation import OBSERVATION_BOUND
 from lattice_gym.reports.divergence import plan
 from lattice_gym.stability import stable_dt
 from lattice_gym.tasks import EFFORT_WEIGHT, TASKS, Peristalsis
@@ -170,7 +173,8 @@ def test_observation_holds_what_it_says() -> None:
     velocity = site_positions(env.lattice, env.state.velocity)
     np.testing.assert_allclose(observation[n : 2 * n], velocity[free].ravel() / 0.1, rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(observation[2 * n : 2 * n + 15][env.groups], env.activation, rtol=1e-6)
-    np.testing.assert_allclose(observation[-7:-2], env.task.observe(env.state, env.time), rtol=1e-6)
+    asked = env.task.observe(Motion.of(env.state), np.array([env.time]))[0]
+    np.testing.assert_allclose(observation[-7:-2], asked, rtol=1e-6)
     np.testing.assert_allclose(
         observation[-2:], [np.cos(4 * np.pi * env.time), np.sin(4 * np.pi * env.time)], rtol=1e-5
     )
@@ -183,7 +187,7 @@ def test_free_base_observes_every_site() -> None:
     env = LatticeWormEnv(design={"base": "free"})
     assert env.observation_space.shape == (6 * 54 + 90 + 5,)
     assert isinstance(env.task, Peristalsis)
-    assert env.task.target(0.0).shape == (9,)
+    assert env.task.target(np.zeros(1)).shape == (1, 9)
     assert _episode(env, 3)[-1][4]["status"] == "ok"
 
 

@@ -18,7 +18,7 @@ from lattice_gym.fidelity import FidelityName
 from lattice_gym.gaits import FULL_DRIVE_AMPLITUDE, gait
 from lattice_gym.lattice import build_lattice
 from lattice_gym.measures import muscle_lengths
-from lattice_gym.model import RodState, build_model
+from lattice_gym.model import Motion, RodState, build_model
 from lattice_gym.muscles import named_layout
 from lattice_gym.tasks import EFFORT_WEIGHT, EIGHT_TARGETS, TASKS, Peristalsis, Task, make_task
 from lattice_gym.world import World
@@ -33,6 +33,28 @@ def _at(position: FloatArray) -> RodState:
     state = MODEL.rest_state()
     state.position[: len(position)] = position
     return state
+
+
+def _terms(task: Task, state: RodState, activation: FloatArray, time: float) -> dict[str, float]:
+    """Terms of the only worm."""
+    terms = task.terms(Motion.of(state), activation[None], np.array([time]))
+    return {name: value.item() for name, value in terms.items()}
+
+
+def _outcome(task: Task, state: RodState) -> dict[str, float]:
+    """Outcome of the only worm."""
+    return {name: value.item() for name, value in task.outcome(Motion.of(state), np.array([0])).items()}
+
+
+def _observe(task: Task, state: RodState, time: float) -> FloatArray:
+    """Return what the only worm sees of its command."""
+    seen: FloatArray = task.observe(Motion.of(state), np.array([time]))[0]
+    return seen
+
+
+def _over(task: Task, state: RodState) -> bool:
+    """Whether the episode of the only worm is over."""
+    return bool(task.over(Motion.of(state)).item())
 
 
 REST = _at(SHAPE)
@@ -92,17 +114,17 @@ def task(request: pytest.FixtureRequest) -> Task:
 def test_terms_have_their_names(task: Task) -> None:
     """In order; an outcome is not the reward; what is observed has its bounds; rest earns zero."""
     task.begin(np.random.default_rng(0), None)
-    terms = task.terms(task.rest, CALM, 0.05)
+    terms = _terms(task, task.rest, CALM, 0.05)
     assert tuple(terms) == task.term_names
     assert sum(terms.values()) == pytest.approx(0.0, abs=1e-12)
-    assert task.observe(task.rest, 0.05).shape == (len(task.bounds),)
-    assert all(isinstance(value, float) for value in {**terms, **task.outcome(task.rest)}.values())
+    assert _observe(task, task.rest, 0.05).shape == (len(task.bounds),)
+    assert all(isinstance(value, float) for value in {**terms, **_outcome(task, task.rest)}.values())
 
 
 def test_effort_has_a_price(task: Task) -> None:
     """Every muscle fully active for nothing costs the effort alone."""
-    assert sum(task.terms(task.rest, np.ones(90), 0.05).values()) == pytest.approx(-EFFORT_WEIGHT)
-    assert task.terms(task.rest, np.full(90, 0.5), 0.05)["effort"] == pytest.approx(-0.25 * EFFORT_WEIGHT)
+    assert sum(_terms(task, task.rest, np.ones(90), 0.05).values()) == pytest.approx(-EFFORT_WEIGHT)
+    assert _terms(task, task.rest, np.full(90, 0.5), 0.05)["effort"] == pytest.approx(-0.25 * EFFORT_WEIGHT)
 
 
 @given(stretch=st.floats(-0.5, 1.0))
@@ -111,20 +133,20 @@ def test_length(stretch: float) -> None:
     state = _at(SHAPE * [1.0, 1.0, 1.0 + stretch])
     for name, sign in (("extension", 1.0), ("compression", -1.0)):
         task = make_task(name, LATTICE, 0.05)
-        assert task.terms(state, CALM, 0.0)["strain"] == pytest.approx(sign * stretch, abs=1e-12)
-        assert task.outcome(state)["strain"] == pytest.approx(stretch, abs=1e-12)
+        assert _terms(task, state, CALM, 0.0)["strain"] == pytest.approx(sign * stretch, abs=1e-12)
+        assert _outcome(task, state)["strain"] == pytest.approx(stretch, abs=1e-12)
 
 
 @given(angle=st.floats(0.01, 3.0), azimuth=st.floats(0.0, 6.28), command=st.floats(-6.28, 6.28))
 def test_bending(angle: float, azimuth: float, command: float) -> None:
     """The part of the bend along the command counts, the part across counts against."""
     task = make_task("bending", LATTICE, 0.05, {"azimuth": command})
-    terms, outcome = task.terms(_tipped(angle, azimuth), CALM, 0.0), task.outcome(_tipped(angle, azimuth))
+    terms, outcome = _terms(task, _tipped(angle, azimuth), CALM, 0.0), _outcome(task, _tipped(angle, azimuth))
     assert terms["bend"] == pytest.approx(angle * np.cos(azimuth - command), abs=1e-9)
     assert terms["sideways"] == pytest.approx(-angle * abs(np.sin(azimuth - command)), abs=1e-9)
     assert outcome["bend_angle"] == pytest.approx(angle, abs=1e-9)
     assert np.cos(outcome["bend_direction"] - azimuth) == pytest.approx(1.0, abs=1e-9)
-    np.testing.assert_allclose(task.observe(REST, 0.0), [np.cos(command), np.sin(command)])
+    np.testing.assert_allclose(_observe(task, REST, 0.0), [np.cos(command), np.sin(command)])
 
 
 @given(
@@ -138,12 +160,12 @@ def test_reach(moved: tuple[float, ...], azimuth: float, radius: float, rise: fl
     task = make_task("reach", LATTICE, 0.05, {"azimuth": azimuth, "radius": radius, "rise": rise}, MODEL)
     target = 0.1 * np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), rise])
     state, near = _at(SHAPE + moved), float(np.linalg.norm(target - moved))
-    terms, outcome = task.terms(state, CALM, 0.35), task.outcome(state)
+    terms, outcome = _terms(task, state, CALM, 0.35), _outcome(task, state)
     assert terms["approach"] == pytest.approx((np.linalg.norm(target) - near) / 0.1, abs=1e-5)
     assert outcome["distance"] == pytest.approx(near, abs=1e-6)
     if abs(near - 0.003) > 1e-6:
         assert (outcome["reached"], outcome["reach_time"]) == ((1.0, 0.35) if near < 0.003 else (0.0, 0.0))
-    np.testing.assert_allclose(task.observe(state, 0.35), np.clip((target - moved) / 0.02, -10.0, 10.0), atol=1e-4)
+    np.testing.assert_allclose(_observe(task, state, 0.35), np.clip((target - moved) / 0.02, -10.0, 10.0), atol=1e-4)
 
 
 def test_reach_lies_down() -> None:
@@ -153,7 +175,7 @@ def test_reach_lies_down() -> None:
     task = make_task("reach", lattice, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": -0.1}, model)
     state = model.rest_state()
     state.position[:] += [-0.01, 0.0, -0.02]  # along the axis, which is x now, and along what was x, which is down
-    assert task.terms(state, CALM, 0.0)["approach"] == pytest.approx(np.hypot(0.2, 0.1), abs=1e-6)
+    assert _terms(task, state, CALM, 0.0)["approach"] == pytest.approx(np.hypot(0.2, 0.1), abs=1e-6)
 
 
 def _crawl(**command: float) -> Task:
@@ -169,14 +191,14 @@ def test_crawl(way: float, aside: float, direction: float) -> None:
     state, total = task.rest, 0.0
     for k in range(1, 5):
         state = replace(task.rest, position=task.rest.position + 0.25 * k * np.array([way, aside, 0.01]))
-        total += task.terms(state, CALM, 0.05 * k)["progress"]
-    along, outcome = 10.0 * direction * way, task.outcome(state)
+        total += _terms(task, state, CALM, 0.05 * k)["progress"]
+    along, outcome = 10.0 * direction * way, _outcome(task, state)
     assert total == pytest.approx(10.0 * along, abs=1e-9)
     assert outcome["speed"] == pytest.approx(60.0 * along / 0.2, abs=1e-6)
     far = np.hypot(way, aside) > 1.01e-3
     assert outcome["drift"] == pytest.approx(np.arctan2(abs(aside), direction * way) if far else 0.0, abs=1e-6)
     assert outcome["cost_of_transport"] == 0.0
-    np.testing.assert_allclose(task.observe(state, 0.2), [direction, 10.0 * aside], atol=1e-9)
+    np.testing.assert_allclose(_observe(task, state, 0.2), [direction, 10.0 * aside], atol=1e-9)
 
 
 @pytest.mark.parametrize("strength", [1.0, np.linspace(0.5, 1.0, 90)])
@@ -186,20 +208,20 @@ def test_cost_of_transport(strength: float | FloatArray) -> None:
     task.strength = strength
     task.begin(np.random.default_rng(0), None)
     half, length = np.full(90, 0.5), muscle_lengths(task.model, task.rest.position)
-    task.terms(task.rest, half, 0.05)
+    _terms(task, task.rest, half, 0.05)
     short = task.rest.copy()
     for muscle in task.model.muscles:
         rows = task.model.nodes(muscle)
         middle = short.position[rows].mean(axis=0)
         short.position[rows] = middle + (short.position[rows] - middle) * (1.0 - 0.001 / length[muscle - 12])
     for state, time in ((short, 0.1), (task.rest, 0.15)):
-        task.terms(state, half, time)
+        _terms(task, state, half, time)
     moved = replace(task.rest, position=task.rest.position + np.array([0.02, 0.0, 0.0]))
-    task.terms(moved, half, 0.2)
+    _terms(task, moved, half, 0.2)
     mass = task.model.node_mass.sum()
     assert mass == pytest.approx(0.425, rel=0.01)
     work = 90 * np.mean(strength) * 0.25 * 0.001
-    assert task.outcome(moved)["cost_of_transport"] == pytest.approx(work / (mass * 9.81 * 0.02), rel=1e-9)
+    assert _outcome(task, moved)["cost_of_transport"] == pytest.approx(work / (mass * 9.81 * 0.02), rel=1e-9)
     assert task.caption(moved) == "+60.0 body lengths/min along +x, 0 deg off course"
 
 
@@ -228,7 +250,7 @@ def test_transport(height: float, off: float, angle: float, up: float) -> None:
     state.bolus_position[:] = [off * np.cos(angle), off * np.sin(angle), height]
     if min(abs(height), abs(height - 0.1), abs(off - 0.0375)) < 1e-9:
         return
-    terms, outcome = task.terms(state, CALM, 0.5), task.outcome(state)
+    terms, outcome = _terms(task, state, CALM, 0.5), _outcome(task, state)
     way = up * (np.clip(height, 0.0, 0.1) - 0.05625)
     end = np.sign(height - 0.05) if not 0.0 < height < 0.1 else 0.0
     lost = end == -up or (end == 0.0 and off > 0.0375)
@@ -237,7 +259,7 @@ def test_transport(height: float, off: float, angle: float, up: float) -> None:
     assert outcome["distance"] == pytest.approx(way, abs=1e-9)
     assert outcome["speed"] == pytest.approx(2.0 * way, abs=1e-9)
     assert (outcome["held"], outcome["delivered"]) == (float(not lost), float(end == up))
-    assert task.over(state) == bool(end or lost)
+    assert _over(task, state) == bool(end or lost)
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
@@ -277,8 +299,8 @@ def test_tracking(share: float, phase: float, time: float, up: bool) -> None:
     assert isinstance(task, Peristalsis)
     # The 8 levels span one wavelength, so sums over them do not depend on the time.
     target = 0.05 * np.cos(2 * np.pi * ((1 if up else -1) * time - np.arange(1, 9) / 8) + phase)
-    np.testing.assert_allclose(task.target(time), target, atol=1e-12)
-    earned = task.terms(_widened(share * target), CALM, time)["tracking"]
+    np.testing.assert_allclose(task.target(np.array([time]))[0], target, atol=1e-12)
+    earned = _terms(task, _widened(share * target), CALM, time)["tracking"]
     assert earned == pytest.approx((2.0 * share - share**2) / (1.0 + (1.0 - share) ** 2), abs=1e-9)
 
 
@@ -288,7 +310,7 @@ def test_tracking_is_bounded(deviation: list[float], wave: int) -> None:
     rng = np.random.default_rng(wave)
     command = {"speed": 0.08, "wavelength": rng.uniform(0.04, 1.0), "amplitude": rng.uniform(0.001, 0.5)}
     task = make_task("peristalsis", LATTICE, 0.05, command | {"phase": rng.uniform(-6.0, 6.0)})
-    assert -1.0 <= task.terms(_widened(np.array(deviation)), CALM, 0.3)["tracking"] <= 2.0
+    assert -1.0 <= _terms(task, _widened(np.array(deviation)), CALM, 0.3)["tracking"] <= 2.0
 
 
 @given(seed=st.integers(0, 1000), size=st.floats(1e-3, 0.5))
@@ -296,7 +318,7 @@ def test_no_still_shape_follows_a_wave(seed: int, size: float) -> None:
     """Over a whole period any fixed deviation costs, and none costs more than 1 a step."""
     task = make_task("peristalsis", LATTICE, 0.05, WAVE)
     deviation = np.random.default_rng(seed).uniform(-size, size, 8)
-    earned = [task.terms(_widened(deviation), CALM, 0.05 * k)["tracking"] for k in range(20)]
+    earned = [_terms(task, _widened(deviation), CALM, 0.05 * k)["tracking"] for k in range(20)]
     assert -1.0 <= np.mean(earned) < 0.0
 
 
@@ -316,10 +338,10 @@ def test_the_wave_is_measured_over_two_periods() -> None:
     assert isinstance(task, Peristalsis)
     task.begin(np.random.default_rng(0), None)
     for step in range(1, 41):
-        assert set(task.outcome(REST).values()) == {0.0}
+        assert set(_outcome(task, REST).values()) == {0.0}
         assert task.caption(REST) == ""
-        task.terms(_widened(task.target(0.05 * step)), CALM, 0.05 * step)
-    outcome = task.outcome(REST)
+        _terms(task, _widened(task.target(np.array([0.05 * step]))[0]), CALM, 0.05 * step)
+    outcome = _outcome(task, REST)
     assert outcome["wave_index"] > 0.99
     assert outcome["wave_direction"] == -1.0
     assert outcome["wave_speed"] == pytest.approx(0.1, rel=1e-6)
@@ -327,10 +349,10 @@ def test_the_wave_is_measured_over_two_periods() -> None:
     asked = "(asked: down at 0.100 m/s, 5.0 %)"
     assert task.caption(REST) == f"wave index 1.00, down at 0.100 m/s, amplitude 5.0 % {asked}"
     for step in range(41, 81):
-        task.terms(REST, CALM, 0.05 * step)
+        _terms(task, REST, CALM, 0.05 * step)
     assert task.caption(REST) == f"wave index 0.00, going nowhere, amplitude 0.0 % {asked}"
     task.begin(np.random.default_rng(0), None)
-    assert task.outcome(REST)["wave_index"] == 0.0
+    assert _outcome(task, REST)["wave_index"] == 0.0
 
 
 @pytest.mark.parametrize("control", ["muscle", "ring", "column"])
@@ -373,13 +395,13 @@ def test_captions() -> None:
     state = transport.rest.copy()
     for height, end in ((0.06, ""), (0.101, ", delivered"), (-0.01, ", lost")):
         state.bolus_position[0, 2] = height
-        transport.terms(state, CALM, 2.0)
+        _terms(transport, state, CALM, 2.0)
         way = 1e3 * (min(max(height, 0.0), 0.1) - 0.05625)
         assert transport.caption(state) == f"{way:+.1f} mm up at {way / 2:.1f} mm/s{end}"
     reach = make_task("reach", LATTICE, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": 0.0})
     assert reach.caption(REST) == "20.0 mm from the target"
     there = _at(SHAPE + np.array([0.02, 0.0, 0.0]))
-    reach.terms(there, CALM, 1.5)
+    _terms(reach, there, CALM, 1.5)
     assert reach.caption(there) == "0.0 mm from the target, reached after 1.50 s"
 
 
@@ -406,7 +428,7 @@ def test_bounds_of_commands_are_reached(height: float) -> None:
     ):
         task = make_task("peristalsis", lattice, 0.05, rest | {name: value})
         task.begin(np.random.default_rng(0), {name: value})
-        assert np.all(np.abs(task.observe(REST, 0.0).astype(np.float32)) <= np.array(task.bounds, dtype=np.float32))
+        assert np.all(np.abs(_observe(task, REST, 0.0).astype(np.float32)) <= np.array(task.bounds, dtype=np.float32))
         with pytest.raises(ValueError, match=rf"^command\['{name}'\]"):
             make_task("peristalsis", lattice, 0.05, rest | {name: outwards * value})
     for azimuth in (2 * np.pi, -2 * np.pi):
@@ -423,9 +445,10 @@ def test_a_free_body_is_not_paid_for_tilting() -> None:
     """Tipped over whole it neither bends, stretches nor shrinks; the same body on a clamped base bends."""
     lattice = build_lattice(LatticeDesign(base="free"))
     for name, term in (("bending", "bend"), ("extension", "strain"), ("compression", "strain")):
-        terms = make_task(name, lattice, 0.05).terms(_tipped(0.7, 1.0), CALM, 0.0)
+        terms = _terms(make_task(name, lattice, 0.05), _tipped(0.7, 1.0), CALM, 0.0)
         assert terms[term] == pytest.approx(0.0, abs=1e-12)
-    assert make_task("bending", LATTICE, 0.05, {"azimuth": 1.0}).terms(_tipped(0.7, 1.0), CALM, 0.0)["bend"] > 0.69
+    clamped = make_task("bending", LATTICE, 0.05, {"azimuth": 1.0})
+    assert _terms(clamped, _tipped(0.7, 1.0), CALM, 0.0)["bend"] > 0.69
 
 
 def test_commands_are_drawn_within_their_ranges(task: Task) -> None:
@@ -579,7 +602,7 @@ def test_the_antiphase_gait_can_make_the_wave_that_is_drawn(speed: float, wavele
         _, reward, _, _, info = env.step(wave(env.time))
         rewards.append(reward)
     assert isinstance(env.task, Peristalsis)
-    middle = np.array(env.task.recorded)[:, 3:6]
+    middle = env.task.recorded()[:, 3:6]
     amplitude = 0.5 * (middle.max(axis=0) - middle.min(axis=0))
     np.testing.assert_allclose(amplitude, FULL_DRIVE_AMPLITUDE, rtol=0.15)
     np.testing.assert_allclose(middle.mean(axis=0), 0.0, atol=0.01)

@@ -167,7 +167,7 @@ class Renderer:
         self._muscles = Tubes(model, model.muscles, MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if muscles else None
         self._lines = Tubes(lines, range(lines.n_rod), MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if lines else None
         self._bolus = Balls(1, model.bolus.radius, BOLUS_CORNERS) if model.bolus else None
-        self._site_nodes = lattice.site_rod * lattice.n_node + lattice.site_node
+        self._site_nodes = lattice.site_nodes
         for part in self._parts():
             actor = self._plotter.add_mesh(part.mesh, scalars="colour", rgb=True, smooth_shading=False, **MATERIAL)
             actor.prop.interpolation = "Phong"

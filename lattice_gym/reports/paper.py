@@ -78,8 +78,8 @@ class Outcome:
 
 def _measure(motion: Motion, lattice: Lattice, position: FloatArray) -> float:
     if motion.name == "bending":
-        return math.degrees(bend_angle(lattice, position))
-    return 100.0 * strain(lattice, position)
+        return math.degrees(float(bend_angle(lattice, position)))
+    return 100.0 * float(strain(lattice, position))
 
 
 def run_motion(motion: Motion, tension: float, engine_name: EngineName) -> tuple[Outcome, Lattice, RodModel, RodState]:
@@ -101,9 +101,9 @@ def run_motion(motion: Motion, tension: float, engine_name: EngineName) -> tuple
         simulated=motion.simulated,
         dt=motion.dt,
         status=str(health),
-        joint_gap=joint_gap(model, state.position),
+        joint_gap=float(joint_gap(model, state.position)),
         least_dilatation=float(dilatation(model, state.position).min()),
-        straightness=straightness(lattice, model, state.position),
+        straightness=float(straightness(lattice, model, state.position)),
     )
     return outcome, lattice, model, state
 

@@ -1,0 +1,115 @@
+"""Episodes of worms side by side: all that lies between actions, observations and rewards but the physics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from lattice_gym.adaptation import Adaptation
+from lattice_gym.design import FloatArray, IntArray, LatticeDesign
+from lattice_gym.measures import muscle_strain
+from lattice_gym.model import Motion
+from lattice_gym.muscles import advance_activation
+from lattice_gym.observation import Observation, Observer
+from lattice_gym.tasks import Task
+
+DIVERGENCE_PENALTY = 1000.0
+"""More than lies between the best and the worst episode of registered length of any task: to blow up is worse."""
+
+
+class Episodes:
+    """One episode of each of several worms, which begin and end apart but step together.
+
+    Parameters
+    ----------
+    task
+        What is asked of the worms.
+    observer
+        What is observed of them.
+    design
+        Of their bodies.
+    groups
+        Control group of every muscle, shape (n_muscle,).
+    adaptation
+        How use changes the strength of muscles; None: not at all.
+
+    """
+
+    def __init__(
+        self, task: Task, observer: Observer, design: LatticeDesign, groups: IntArray, adaptation: Adaptation | None
+    ) -> None:
+        self.task, self.observer, self._design, self._groups = task, observer, design, groups
+        self._adaptation = adaptation
+        n_worm = task.n_worm
+        self.activation = np.zeros((n_worm, int(groups.max()) + 1))
+        """Of every control group, shape (n_worm, n_action)."""
+        self.n_step = np.zeros(n_worm, dtype=np.int64)
+        """Control steps since each episode began, shape (n_worm,)."""
+        self.trained = None if adaptation is None else adaptation.untrained((n_worm, len(groups)))
+        """Strength by use of every muscle; None without an adaptation."""
+        self._next, self._tension = self.activation, np.zeros((2, n_worm, len(groups)))
+
+    @property
+    def time(self) -> FloatArray:
+        """Time since each episode began [s], shape (n_worm,)."""
+        return np.asarray(self.n_step * self.task.control_dt, dtype=np.float64)
+
+    @property
+    def strength(self) -> FloatArray | None:
+        """Strength by use of every muscle over the design's, shape (n_worm, n_muscle); None without an adaptation."""
+        return None if self.trained is None else self.trained.factor
+
+    def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None, worm: int = 0) -> None:
+        """Begin an episode of one worm, which its engine must have put at the start."""
+        self.task.begin(rng, options, worm)
+        self.activation[worm] = 0.0
+        self.n_step[worm] = 0
+        if self._adaptation is not None and self.trained is not None:
+            one = np.arange(self.task.n_worm) == worm
+            begun = self._adaptation.begun(self.trained.row(worm))
+            self.trained = self.trained.where(one, begun)
+
+    def tension(self, command: FloatArray) -> FloatArray:
+        """Tension of every muscle at the start and at the end of a control step [N], shape (2, n_worm, n_muscle).
+
+        Commands lie in [0, 1], one a control group, shape (n_worm, n_action).
+        """
+        design, before = self._design, self.activation
+        self._next = advance_activation(before, command, self.task.control_dt, design.rise_time, design.decay_time)
+        tension = design.max_tension * np.stack([before, self._next]).take(self._groups, axis=-1)
+        if self.trained is not None:
+            self.task.strength = self.trained.factor
+            tension *= self.task.strength
+        self._tension = tension
+        return tension
+
+    def score(
+        self, motion: Motion, sound: npt.NDArray[np.bool_]
+    ) -> tuple[dict[str, FloatArray], npt.NDArray[np.bool_]]:
+        """Reward terms of the control step that ends, shape (n_worm,) each, and which episodes are over.
+
+        Of worms that are not sound, whose physics failed and whose motion is that of the last sound moment, nothing
+        changes: all that they earn is the penalty.
+        """
+        whole = bool(sound.all())
+        lost = np.flatnonzero(~sound)
+        memory = None if whole else self.task.remembered(lost)
+        before, after = self.activation, self._next
+        self.activation = after if whole else np.where(sound[:, None], after, before)
+        self.n_step += sound
+        if self._adaptation is not None and self.trained is not None:
+            active, strain = 0.5 * (before + after)[:, self._groups], muscle_strain(self.task.model, motion.position)
+            used = self._adaptation.used(self.trained, active, self._tension.mean(axis=0), strain, self.task.control_dt)
+            self.trained = self.trained.where(sound, used)
+        terms = self.task.terms(motion, self.activation.take(self._groups, axis=-1), self.time)
+        if memory is not None:
+            self.task.remind(lost, memory)
+            terms = {name: np.where(sound, values, 0.0) for name, values in terms.items()}
+        divergence = np.where(sound, 0.0, -DIVERGENCE_PENALTY)
+        return terms | {"divergence": divergence}, ~sound | self.task.over(motion)
+
+    def observe(self, motion: Motion) -> tuple[Observation, IntArray]:
+        """Observations of all worms, and how many numbers of each were clipped; see `Observer`."""
+        return self.observer(motion, self.activation, self.time, self.strength)
