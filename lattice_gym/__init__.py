@@ -59,12 +59,14 @@ for _task, _limit in _TIME_LIMITS.items():
         register(
             id=f"{_name}-v0",
             entry_point="lattice_gym.env:LatticeWormEnv",
+            vector_entry_point="lattice_gym.vector_env:LatticeWormVectorEnv",
             max_episode_steps=_limit,
             kwargs={"task": _task},
         )
 register(
     id="LatticeWormReachGoal-v0",
     entry_point="lattice_gym.env:LatticeWormGoalEnv",
+    vector_entry_point="lattice_gym.vector_env:LatticeWormGoalVectorEnv",
     max_episode_steps=_TIME_LIMITS["reach"],
     kwargs={"task": "reach"},
 )

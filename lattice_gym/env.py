@@ -365,6 +365,11 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return self._state.copy()
 
     @property
+    def start(self) -> RodState:
+        """Copy of the state in which episodes start."""
+        return self._start.copy()
+
+    @property
     def activation(self) -> FloatArray:
         """Activation of every active muscle now, shape (n_muscle,), in [0, 1]."""
         activation: FloatArray = self._episode.activation[0, self.groups]
@@ -385,9 +390,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode at rest; options hold commanded numbers, by name, for this episode."""
-        if seed is not None and ((number := whole_number(seed)) is None or number < 0):
-            raise ValueError(f"seed = {shown(seed)}: must be None or a whole number, 0 or more")
-        super().reset(seed=None if seed is None else int(seed))
+        super().reset(seed=None if seed is None else seed_of(seed))
         self._episode.begin(self.np_random, options)
         self._state = self._start.copy()
         self._engine.restore(self._state)
@@ -426,12 +429,17 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """Picture of the worm now, shape (480, 640, 3); None without a render mode."""
         if self.render_mode is None:
             return None
+        return self.picture(self._episode, Motion.of(self._state), 0)
+
+    def picture(self, episodes: Episodes, motion: Motion, worm: int) -> npt.NDArray[np.uint8]:
+        """Picture of one of several worms, shape (480, 640, 3), whatever the render mode."""
         if self._renderer is None:
             from lattice_gym.rendering import Renderer
 
             self._renderer = Renderer(self.lattice, self.model)
-        state, caption = self._state, self.task.caption(self._state)
-        return self._renderer.update(state.position, self.activation, self.time, caption, state.bolus_position)
+        caption = episodes.task.caption(motion.rows(np.array([worm])), worm)
+        time, activation = float(episodes.time[worm]), episodes.activation[worm, self.groups]
+        return self._renderer.update(motion.position[worm], activation, time, caption, motion.bolus_position[worm])
 
     def close(self) -> None:
         """Free the renderer."""
@@ -590,6 +598,14 @@ def clipped_command(action: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[Floa
         raise ValueError(f"action: must not be NaN, got NaN in {np.argwhere(np.isnan(given)).tolist()}")
     command = np.clip(given.astype(np.float64), 0.0, 1.0)
     return command, np.count_nonzero(command != given, axis=-1)
+
+
+def seed_of(seed: object) -> int:
+    """Seed as a whole number, or a ValueError."""
+    number = whole_number(seed)
+    if number is None or number < 0:
+        raise ValueError(f"seed = {shown(seed)}: must be None or a whole number, 0 or more")
+    return number
 
 
 def _first(values: Mapping[str, FloatArray]) -> dict[str, float]:
