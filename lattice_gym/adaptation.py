@@ -43,7 +43,7 @@ class Strength:
     def where(self, changed: npt.NDArray[np.bool_], other: Strength) -> Strength:
         """Strength of worms of which some, shape (n_worm,), have changed to another."""
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return Strength(*(np.where(changed if np.ndim(new) < 2 else changed[:, None], new, old) for old, new in pairs))
+        return Strength(*(np.where(changed if np.ndim(old) < 2 else changed[:, None], new, old) for old, new in pairs))
 
 
 @dataclass(frozen=True, kw_only=True)

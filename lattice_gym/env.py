@@ -597,7 +597,7 @@ def clipped_command(action: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[Floa
     if np.isnan(given).any():
         raise ValueError(f"action: must not be NaN, got NaN in {np.argwhere(np.isnan(given)).tolist()}")
     command = np.clip(given.astype(np.float64), 0.0, 1.0)
-    return command, np.count_nonzero(command != given, axis=-1)
+    return command, (command != given).sum(axis=-1)
 
 
 def seed_of(seed: object) -> int:

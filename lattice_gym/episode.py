@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,7 +12,7 @@ from lattice_gym.adaptation import Adaptation
 from lattice_gym.design import FloatArray, IntArray, LatticeDesign
 from lattice_gym.measures import muscle_strain
 from lattice_gym.model import Motion
-from lattice_gym.muscles import advance_activation
+from lattice_gym.muscles import followed
 from lattice_gym.observation import Observation, Observer
 from lattice_gym.tasks import Task
 
@@ -49,6 +50,7 @@ class Episodes:
         """Control steps since each episode began, shape (n_worm,)."""
         self.trained = None if adaptation is None else adaptation.untrained((n_worm, len(groups)))
         """Strength by use of every muscle; None without an adaptation."""
+        self._left = [math.exp(-task.control_dt / time) for time in (design.rise_time, design.decay_time)]
         self._next, self._tension = self.activation, np.zeros((2, n_worm, len(groups)))
 
     @property
@@ -77,8 +79,8 @@ class Episodes:
         Commands lie in [0, 1], one a control group, shape (n_worm, n_action).
         """
         design, before = self._design, self.activation
-        self._next = advance_activation(before, command, self.task.control_dt, design.rise_time, design.decay_time)
-        tension = design.max_tension * np.stack([before, self._next]).take(self._groups, axis=-1)
+        self._next = followed(before, command, *self._left)
+        tension = design.max_tension * np.array([before, self._next]).take(self._groups, axis=-1)
         if self.trained is not None:
             self.task.strength = self.trained.factor
             tension *= self.task.strength
@@ -94,8 +96,8 @@ class Episodes:
         changes: all that they earn is the penalty.
         """
         whole = bool(sound.all())
-        lost = np.flatnonzero(~sound)
-        memory = None if whole else self.task.remembered(lost)
+        lost = None if whole else np.flatnonzero(~sound)
+        memory = {} if lost is None else self.task.remembered(lost)
         before, after = self.activation, self._next
         self.activation = after if whole else np.where(sound[:, None], after, before)
         self.n_step += sound
@@ -104,11 +106,12 @@ class Episodes:
             used = self._adaptation.used(self.trained, active, self._tension.mean(axis=0), strain, self.task.control_dt)
             self.trained = self.trained.where(sound, used)
         terms = self.task.terms(motion, self.activation.take(self._groups, axis=-1), self.time)
-        if memory is not None:
+        terms["divergence"] = np.zeros(len(sound))
+        if lost is not None:
             self.task.remind(lost, memory)
-            terms = {name: np.where(sound, values, 0.0) for name, values in terms.items()}
-        divergence = np.where(sound, 0.0, -DIVERGENCE_PENALTY)
-        return terms | {"divergence": divergence}, ~sound | self.task.over(motion)
+            for name, values in terms.items():
+                values[lost] = -DIVERGENCE_PENALTY if name == "divergence" else 0.0
+        return terms, ~sound | self.task.over(motion)
 
     def observe(self, motion: Motion) -> tuple[Observation, IntArray]:
         """Observations of all worms, and how many numbers of each were clipped; see `Observer`."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -86,11 +87,13 @@ def base_frame(lattice: Lattice, position: FloatArray) -> FloatArray:
     return np.stack([first / size, _cross(up, first / size), up], axis=-2)
 
 
+@lru_cache(maxsize=64)
 def bottom_sites(lattice: Lattice) -> IntArray:
     """Sites of the bottom ring in order of azimuth. Fewer than three span no plane: ValueError."""
     return _ring(lattice, "bottom", lattice.site_position[:, 2] < lattice.design.height * 1e-9)
 
 
+@lru_cache(maxsize=64)
 def top_sites(lattice: Lattice) -> IntArray:
     """Sites of the top ring in order of azimuth. Fewer than three span no plane: ValueError."""
     return _ring(lattice, "top", lattice.site_position[:, 2] > lattice.design.height * (1.0 - 1e-9))
@@ -103,7 +106,9 @@ def _ring(lattice: Lattice, name: str, mask: npt.NDArray[np.bool_]) -> IntArray:
             f"lattice: {sites.size} sites at the {name} span no plane, so nothing can be said of how it is tilted; at "
             f"least 3 are needed (LatticeDesign.n_pairs is {lattice.design.n_pairs})"
         )
-    return sites[np.argsort(lattice.site_azimuth[sites])]
+    ring: IntArray = sites[np.argsort(lattice.site_azimuth[sites])]
+    ring.setflags(write=False)
+    return ring
 
 
 def top_centre(lattice: Lattice, position: FloatArray) -> FloatArray:
@@ -139,7 +144,8 @@ def _centre(points: FloatArray) -> FloatArray:
     total: FloatArray = points[..., 0, :].copy()
     for k in range(1, points.shape[-2]):
         total += points[..., k, :]
-    return total / points.shape[-2]
+    total /= points.shape[-2]
+    return total
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Integral
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -695,8 +696,7 @@ class RodState:
                 )
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(NamedTuple):
     """What is seen of worms that move side by side: one row a worm."""
 
     position: FloatArray
@@ -711,13 +711,11 @@ class Motion:
     @classmethod
     def of(cls, state: RodState) -> Motion:
         """Motion of a single worm."""
-        parts = (state.position, state.velocity, state.bolus_position, state.bolus_velocity)
-        return cls(*(part[None] for part in parts))
+        return cls(state.position[None], state.velocity[None], state.bolus_position[None], state.bolus_velocity[None])
 
     def rows(self, worms: IntArray) -> Motion:
         """Motion of some of the worms, shape (n,) of their rows."""
-        parts = (self.position, self.velocity, self.bolus_position, self.bolus_velocity)
-        return Motion(*(part[worms] for part in parts))
+        return Motion(*(part[worms] for part in self))
 
 
 def build_model(

@@ -269,7 +269,12 @@ def advance_activation(
     now, towards = real_array("activation", activation), real_array("command", command)
     if now.shape != towards.shape:
         raise ValueError(f"command has shape {towards.shape}: must have the activation's, {now.shape}")
-    left = np.where(towards > now, math.exp(-float(duration / rise_time)), math.exp(-float(duration / decay_time)))
+    return followed(now, towards, math.exp(-float(duration / rise_time)), math.exp(-float(duration / decay_time)))
+
+
+def followed(now: FloatArray, towards: FloatArray, rising: float, falling: float) -> FloatArray:
+    """Activation that has come nearer to a command, by shares of the way that are left where it rises and falls."""
+    left = np.where(towards > now, rising, falling)
     # Written from the command, not the activation: so no rounding carries the result past the command.
     return towards + left * (now - towards)
 

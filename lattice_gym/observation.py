@@ -91,7 +91,7 @@ class Observer:
             parts.append(self._task.observe(motion, time))
         if self._rhythm is not None:
             angle = TURN * self._rhythm * time
-            parts.append(np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+            parts.append(np.array([np.cos(angle), np.sin(angle)]).T)
         if self._strength and strength is not None:
             parts.append(strength)
         flat = np.concatenate(parts, axis=-1).astype(np.float32)
@@ -112,7 +112,7 @@ class Observer:
         moving /= self._scale
         free = moving.reshape(n_worm, -1)
         bounded = np.clip(free, -OBSERVATION_BOUND, OBSERVATION_BOUND)
-        return bounded, np.count_nonzero(bounded != free, axis=-1)
+        return bounded, (bounded != free).sum(axis=-1)
 
     def _mean(self, values: FloatArray) -> FloatArray:
         """Values at the observed points, shape (..., n_point, 3), of those at nodes."""

@@ -284,7 +284,7 @@ class GoalTask(Task):
 
 
 def _effort(activation: FloatArray) -> FloatArray:
-    price: FloatArray = -EFFORT_WEIGHT * np.mean(activation**2, axis=-1)
+    price: FloatArray = -EFFORT_WEIGHT / activation.shape[-1] * np.sum(activation * activation, axis=-1)
     return price
 
 
@@ -395,7 +395,7 @@ class Bending(Task):
 
     def _towards(self) -> FloatArray:
         azimuth = self.commanded["azimuth"]
-        return np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+        return np.array([np.cos(azimuth), np.sin(azimuth)]).T
 
     def _commands(self) -> dict[str, Command]:
         return {"azimuth": Command(0.0, TURN, -TURN, TURN, "rad")}
@@ -482,7 +482,7 @@ class Peristalsis(Task):
         angle, height, typical = self._phase(time), self.lattice.design.height, self.TYPICAL_AMPLITUDE
         speed, wavelength, amplitude = (self.commanded[name] for name in ("speed", "wavelength", "amplitude"))
         seen = [np.cos(angle), np.sin(angle), speed / height, wavelength / height, amplitude / typical]
-        return np.stack(seen, axis=-1)
+        return np.array(seen).T
 
     def target(self, time: FloatArray) -> FloatArray:
         """Deviation asked of every level that can move, over the rest radius, shape (n_worm, n_level - first)."""
@@ -615,8 +615,8 @@ class Reach(GoalTask):
     def desired(self) -> npt.NDArray[np.float32]:
         """Displacement that is asked for over GOAL_SCALE heights, shape (n_worm, 3)."""
         azimuth, radius, rise = (self.commanded[name] for name in ("azimuth", "radius", "rise"))
-        target = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), rise], axis=-1)
-        return (target / GOAL_SCALE).astype(np.float32)
+        target = np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), rise]).T
+        return np.ascontiguousarray(target / GOAL_SCALE, dtype=np.float32)
 
     def goal_reward(self, achieved: npt.NDArray[Any], desired: npt.NDArray[Any]) -> FloatArray:
         """Distance of the target from rest less that from the top's centre [heights]."""
@@ -705,7 +705,7 @@ class Crawl(Task):
     def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Commanded direction along x, and how far the body is off course, to +y, in heights."""
         aside = self._way(motion, self.memory["start"])[:, 1]
-        return np.stack([self.commanded["direction"], np.clip(aside, -COMMAND_BOUND, COMMAND_BOUND)], axis=-1)
+        return np.array([self.commanded["direction"], np.clip(aside, -COMMAND_BOUND, COMMAND_BOUND)]).T
 
     def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
         """Way along the commanded direction in this step, and effort."""

@@ -99,7 +99,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
         self._failed = np.zeros(self.num_envs, dtype=np.bool_)
 
-    @property
+    @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """Generator of every worm."""
         return tuple(generator for generator, _ in self._random)
@@ -140,22 +140,22 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
             raise gymnasium.error.ResetNeeded("reset() must be called first")
         command, n_clipped = clipped_command(actions, (self.num_envs, *self._one.action_space.shape))
         if self._mode is AutoresetMode.DISABLED and self._ended.any():
-            ended = np.flatnonzero(self._ended).tolist()
-            raise gymnasium.error.ResetNeeded(f"worms {ended} have ended and must be reset first")
+            worms = np.flatnonzero(self._ended).tolist()
+            raise gymnasium.error.ResetNeeded(f"worms {worms} have ended and must be reset first")
         live = ~self._ended
         sound = live & self._advance(command)
         self._failed, episodes = live & ~sound, self._episodes
         terms, over = episodes.score(self._motion, sound)
         reward = np.where(live, sum(terms.values()), 0.0)
         terminated, n_step = over & live, episodes.n_step + self._failed
-        truncated = live & (n_step >= self._limit) if self._limit else np.zeros_like(live)
+        truncated: Mask = live & (n_step >= self._limit) if self._limit else np.zeros_like(live)
         ended = terminated | truncated
         outcome = self._outcome_of(np.flatnonzero(ended))
         resets = {worm: self._begin(worm, None) for worm in np.flatnonzero(~live).tolist()}
         seen, n_beyond = episodes.observe(self._motion)
         # Not before the last sound moment was observed.
         episodes.n_step += self._failed
-        told = {"reward_terms": terms, "status": self._status(), "clipped_actions": n_clipped}
+        told: dict[str, Any] = {"reward_terms": terms, "status": self._status(), "clipped_actions": n_clipped}
         told |= {"clipped_observations": n_beyond} | self._strength_info()
         if self._mode is AutoresetMode.SAME_STEP and ended.any():
             infos = _masked(told, live & ~ended) | self._final(seen, ended)
@@ -267,7 +267,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
                     f"options[{name!r}]: an array must hold one number a worm, shape ({self.num_envs},), got "
                     f"{given[name].shape}"
                 )
-        return mask, [given | {name: given[name][worm] for name in each} for worm in range(self.num_envs)]
+        return mask, [given | {name: given[name][worm].item() for name in each} for worm in range(self.num_envs)]
 
 
 class LatticeWormGoalVectorEnv(LatticeWormVectorEnv):

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.design import FloatArray
-from lattice_gym.engines import EngineName, Health, Splitting, make_engine
+from lattice_gym.engines import Engine, EngineName, Health, Splitting, make_engine
 from lattice_gym.model import RodModel, RodState
 
 
@@ -27,7 +27,7 @@ class BatchEngine:
         num_threads: int | None = None,
     ) -> None:
         self.models, self.dt, self.n_worm = list(models), dt, len(models)
-        self._make = lambda model: make_engine(engine, model, dt, splitting, energy_check, step_check)
+        self._how = engine, dt, splitting, energy_check, step_check
         self._engines = [self._make(model) for model in models]
         states = [engine.state for engine in self._engines]
         self.position, self.velocity, self.bolus_position, self.bolus_velocity = (
@@ -44,6 +44,10 @@ class BatchEngine:
             if self._health[k].ok:
                 self._note(k)
         return np.array([int(health.status) for health in self._health])
+
+    def _make(self, model: RodModel) -> Engine:
+        name, dt, splitting, energy_check, step_check = self._how
+        return make_engine(name, model, dt, splitting, energy_check, step_check)
 
     def _note(self, worm: int) -> None:
         state = self._engines[worm].state
