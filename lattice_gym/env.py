@@ -21,6 +21,7 @@ from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.model import Motion, RodState, build_model
 from lattice_gym.muscles import MuscleLayout, control_groups, resolve_layout
 from lattice_gym.observation import OBSERVATIONS, Observation, Observer
+from lattice_gym.randomise import Randomisation, varied
 from lattice_gym.stability import default_dt, stable_dt
 from lattice_gym.tasks import TASKS, Given, GoalTask, Task, make_task
 from lattice_gym.world import Part, World
@@ -189,7 +190,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     After a step: `reward_terms` and `outcome` (names to floats), `status` ("ok", or what went wrong and where),
     `clipped_actions`, `clipped_observations` (counts). After a reset: `command` (names to floats) and `status`. With an
-    `adaptation` both hold `strength`, that of every active muscle over the design's, shape (n_muscle,).
+    `adaptation` both hold `strength`, that of every active muscle over the design's, shape (n_muscle,). With
+    `randomise` a reset tells the `factors` drawn, by name; that of "strength" has shape (n_muscle,).
 
     | task | `outcome`, which is not the reward |
     |---|---|
@@ -283,6 +285,13 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         end. None: not at all. The default `dt` is that for the largest strength there can be.
     hill
         `hill.Hill` or its dict form: how the force of each muscle depends on its length and speed. None: not at all.
+    randomise
+        Factors that are drawn for every episode, after its command, uniformly from ranges: a mapping of names to pairs
+        (low, high) from 0.01 to 100. "structure_youngs_modulus" and "muscle_youngs_modulus" (with the shear moduli),
+        "damping" (of all rods, rotational too, not that of joints or a medium), "max_tension", and "strength", one for
+        each muscle. The default `dt` is the smallest at any corner of the ranges and the largest tension; episodes
+        start from the state at rest of the design itself, which after settling another body leaves slowly. Nothing of
+        it is observed. None: every worm is as designed.
 
     An argument that cannot be used is a ValueError that names it. With dict forms, and with objects too, an EnvSpec
     survives JSON and makes an equal environment. NumPy numbers and arrays are taken too, but JSON knows only plain
@@ -321,6 +330,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         render_mode: str | None = None,
         adaptation: Adaptation | Mapping[str, Any] | None = None,
         hill: Hill | Mapping[str, Any] | None = None,
+        randomise: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
         _check_choice("task", task, tuple(TASKS))
         _check_choice("observation", observation, OBSERVATIONS)
@@ -338,6 +348,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         if self.world.lying and self.design.base == "clamped":
             raise ValueError("world: a worm that lies needs a free base (design.base); on a clamped one it stands")
         self.adaptation = Adaptation.resolve("adaptation", adaptation)
+        self.randomisation = Randomisation.resolve(randomise)
         self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))
         self._given = command
         self.task = make_task(task, self.lattice, self.control_dt, command, self.model)
@@ -350,6 +361,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self.render_mode = render_mode
         self.metadata = {**METADATA, "render_fps": 1.0 / self.control_dt}
         self._renderer: Renderer | None = None
+        self._body = self.model
         self._engine: Engine = self._make_engine()
 
         self.task.rest = self._start = self._settled()
@@ -391,12 +403,16 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode at rest; options hold commanded numbers, by name, for this episode."""
         super().reset(seed=None if seed is None else seed_of(seed))
-        self._episode.begin(self.np_random, options)
+        factors = self._episode.begin(self.np_random, options)
+        if factors:
+            self._body = varied(self.model, factors)
+            self._engine = self._make_engine()
         self._state = self._start.copy()
         self._engine.restore(self._state)
         self._running = True
         observation, _ = self._observe()
-        return observation, {"command": dict(self.task.command), "status": OK} | self._strength_info()
+        told = {"factors": dict(factors)} if factors else {}
+        return observation, {"command": dict(self.task.command), "status": OK} | told | self._strength_info()
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by `control_dt`."""
@@ -469,18 +485,24 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         observer = Observer(
             self.model, task, n_action, self.observation, self.rhythm, self.adaptation, self._goals_apart
         )
-        return Episodes(task, observer, self.design, self.groups, self.adaptation)
+        return Episodes(task, observer, self.design, self.groups, self.adaptation, self.randomisation)
 
     def _make_engine(self) -> Engine:
-        return make_engine(self.engine_name, self.model, self.dt, self.splitting, self.energy_check, self.step_check)
+        return make_engine(self.engine_name, self._body, self.dt, self.splitting, self.energy_check, self.step_check)
 
     def _substeps(self, dt: object, allow_large_dt: object) -> tuple[int, float]:
         """Physics steps in a control step, and their length [s]."""
         if not isinstance(allow_large_dt, bool):
             raise ValueError(f"allow_large_dt = {allow_large_dt!r}: must be True or False")
-        control_dt, tension = self.control_dt, self.design.max_tension
+        control_dt, tension, bodies = self.control_dt, self.design.max_tension, [self.model]
         tension *= 1.0 if self.adaptation is None else self.adaptation.most
-        step = default_dt(self.model, control_dt, tension) if dt is None else _number("dt", dt, 0.0, control_dt, "s")
+        if self.randomisation is not None:
+            tension *= self.randomisation.strongest
+            bodies = self.randomisation.corners(self.model)
+        if dt is None:
+            step = min(default_dt(body, control_dt, tension) for body in bodies)
+        else:
+            step = _number("dt", dt, 0.0, control_dt, "s")
         ratio = control_dt / step
         if ratio > MAX_SUBSTEPS:
             raise ValueError(
@@ -492,7 +514,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             raise ValueError(
                 f"dt = {step!r}: must divide control_dt = {control_dt!r} s; the nearest that do: {nearest} s"
             )
-        if dt is not None and not allow_large_dt and step > (limit := stable_dt(self.model, tension, self.splitting)):
+        if dt is None or allow_large_dt:
+            return n_substeps, step
+        limit = min(stable_dt(body, tension, self.splitting) for body in bodies)
+        if step > limit:
             raise ValueError(f"dt = {step!r}: above the predicted stable {limit:.6g} s; allow_large_dt=True permits it")
         return n_substeps, step
 

@@ -14,6 +14,7 @@ from lattice_gym.measures import muscle_strain
 from lattice_gym.model import Motion
 from lattice_gym.muscles import followed
 from lattice_gym.observation import Observation, Observer
+from lattice_gym.randomise import Factors, Randomisation, pull
 from lattice_gym.tasks import Task
 
 DIVERGENCE_PENALTY = 1000.0
@@ -35,14 +36,22 @@ class Episodes:
         Control group of every muscle, shape (n_muscle,).
     adaptation
         How use changes the strength of muscles; None: not at all.
+    randomisation
+        Factors that are drawn for every episode; None: none.
 
     """
 
     def __init__(
-        self, task: Task, observer: Observer, design: LatticeDesign, groups: IntArray, adaptation: Adaptation | None
+        self,
+        task: Task,
+        observer: Observer,
+        design: LatticeDesign,
+        groups: IntArray,
+        adaptation: Adaptation | None,
+        randomisation: Randomisation | None,
     ) -> None:
         self.task, self.observer, self._design, self._groups = task, observer, design, groups
-        self._adaptation = adaptation
+        self._adaptation, self._randomisation = adaptation, randomisation
         n_worm = task.n_worm
         self.activation = np.zeros((n_worm, int(groups.max()) + 1))
         """Of every control group, shape (n_worm, n_action)."""
@@ -50,6 +59,7 @@ class Episodes:
         """Control steps since each episode began, shape (n_worm,)."""
         self.trained = None if adaptation is None else adaptation.untrained((n_worm, len(groups)))
         """Strength by use of every muscle; None without an adaptation."""
+        self._pull = None if randomisation is None else np.ones((n_worm, len(groups)))
         self._left = [math.exp(-task.control_dt / time) for time in (design.rise_time, design.decay_time)]
         self._next, self._tension = self.activation, np.zeros((2, n_worm, len(groups)))
 
@@ -63,8 +73,8 @@ class Episodes:
         """Strength by use of every muscle over the design's, shape (n_worm, n_muscle); None without an adaptation."""
         return None if self.trained is None else self.trained.factor
 
-    def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None, worm: int = 0) -> None:
-        """Begin an episode of one worm, which its engine must have put at the start."""
+    def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None, worm: int = 0) -> Factors:
+        """Begin an episode of one worm, and return the factors drawn for it; its engine is to take them over."""
         self.task.begin(rng, options, worm)
         self.activation[worm] = 0.0
         self.n_step[worm] = 0
@@ -72,6 +82,11 @@ class Episodes:
             one = np.arange(self.task.n_worm) == worm
             begun = self._adaptation.begun(self.trained.row(worm))
             self.trained = self.trained.where(one, begun)
+        if self._randomisation is None or self._pull is None:
+            return {}
+        factors = self._randomisation.draw(rng, len(self._groups))
+        self._pull[worm] = pull(factors)
+        return factors
 
     def tension(self, command: FloatArray) -> FloatArray:
         """Tension of every muscle at the start and at the end of a control step [N], shape (2, n_worm, n_muscle).
@@ -81,8 +96,9 @@ class Episodes:
         design, before = self._design, self.activation
         self._next = followed(before, command, *self._left)
         tension = design.max_tension * np.array([before, self._next]).take(self._groups, axis=-1)
-        if self.trained is not None:
-            self.task.strength = self.trained.factor
+        factors = [factor for factor in (self.strength, self._pull) if factor is not None]
+        if factors:
+            self.task.strength = math.prod(factors[1:], start=factors[0])
             tension *= self.task.strength
         self._tension = tension
         return tension

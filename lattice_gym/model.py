@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Integral
@@ -136,6 +137,16 @@ class Rod:
         names = "Rod.position, radius, density, youngs_modulus, shear_modulus"
         _require(sound, f"{names}: mass or stiffness leaves the range of numbers; some are far too large or too small")
 
+    def scaled(self, stiffness: float, damping: float) -> Rod:
+        """Return the rod with factors on its moduli and on both dampings, which is not checked again."""
+        rod = copy(self)
+        kept = {name: value for name, value in vars(self).items() if name not in _OF_MODULI}
+        kept |= {name: stiffness * kept[name] for name in ("youngs_modulus", "shear_modulus")}
+        kept |= {name: damping * kept[name] for name in ("damping", "rotational_damping")}
+        vars(rod).clear()
+        vars(rod).update(kept)
+        return rod
+
     @property
     def n_elem(self) -> int:
         """Number of elements."""
@@ -200,6 +211,9 @@ class Rod:
         if self.natural_curvature is not None:
             return self.natural_curvature
         return rotation_between(self.directors[:-1], self.directors[1:]) / self.rest_voronoi[:, None]
+
+
+_OF_MODULI = ("shear_stiffness", "stretch_stiffness", "bend_stiffness", "twist_stiffness")
 
 
 def _node_sums(values: FloatArray) -> FloatArray:
@@ -605,6 +619,21 @@ class RodModel:
         """Length of every muscle at rest [m], shape (n_muscle,)."""
         rods = [float(self.rods[rod].rest_length.sum()) for rod in self.muscles]
         return np.array(rods + [float(line.rest_length) for line in self.lines])
+
+    def scaled(self, structure: float, muscle: float, damping: float) -> RodModel:
+        """Return the assembly with factors on the moduli of its rods and muscles and on the damping of both.
+
+        Nothing is checked again, as that takes far longer than all else; factors must be positive.
+        """
+        muscles, model = set(self.muscles), copy(self)
+        stiffness = [muscle if index in muscles else structure for index in range(self.n_rod)]
+        rods = tuple(rod.scaled(factor, damping) for rod, factor in zip(self.rods, stiffness, strict=True))
+        lines = tuple(
+            replace(line, stiffness=muscle * line.stiffness, damping=damping * line.damping) for line in self.lines
+        )
+        vars(model).pop("node_damping", None)
+        vars(model).update(rods=rods, lines=lines)
+        return model
 
     def nodes(self, rod: int) -> slice:
         """Rows of a rod's nodes."""

@@ -17,6 +17,7 @@ from lattice_gym.engines.batch import BatchEngine
 from lattice_gym.env import OK, LatticeWormEnv, LatticeWormGoalEnv, clipped_command, seed_of
 from lattice_gym.model import Motion
 from lattice_gym.observation import Observation
+from lattice_gym.randomise import varied
 
 Mask = npt.NDArray[np.bool_]
 """Of shape (num_envs,)."""
@@ -203,10 +204,13 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
 
     def _begin(self, worm: int, options: Mapping[str, object] | None) -> dict[str, Any]:
         """Start an episode of a worm, and tell of it as a single environment does."""
-        self._episodes.begin(self._random[worm][0], options, worm)
+        factors = self._episodes.begin(self._random[worm][0], options, worm)
+        if factors:
+            self._engine.replace(worm, varied(self._one.model, factors))
         self._engine.restore(worm, self._start)
         strength = {name: values[worm] for name, values in self._strength_info().items()}
-        return {"command": self._episodes.task.command_of(worm), "status": OK} | strength
+        told = {"factors": dict(factors)} if factors else {}
+        return {"command": self._episodes.task.command_of(worm), "status": OK} | told | strength
 
     def _strength_info(self) -> dict[str, FloatArray]:
         strength = self._episodes.strength
