@@ -1,7 +1,7 @@
 """Gymnasium environments of a lattice worm made of Cosserat rods.
 
 Importing it registers `LatticeWorm-v0` and one id for every task, such as `LatticeWormCrawl-v0`; `LatticeWormEnv` is
-their specification, with a table of them.
+their specification, with a table of them, and `LatticeWormVectorEnv` steps many of one kind at once.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from lattice_gym.gaits import gait, grouped
 from lattice_gym.hill import Hill
 from lattice_gym.lattice import Lattice, build_lattice
 from lattice_gym.muscles import Muscle, MuscleLayout, horizontal, named_layout, resolve_layout, tie, vertical
+from lattice_gym.vector_env import LatticeWormGoalVectorEnv, LatticeWormVectorEnv
 from lattice_gym.world import Bolus, Contact, Ground, Medium, World
 
 __all__ = [
@@ -27,6 +28,8 @@ __all__ = [
     "LatticeDesign",
     "LatticeWormEnv",
     "LatticeWormGoalEnv",
+    "LatticeWormGoalVectorEnv",
+    "LatticeWormVectorEnv",
     "Medium",
     "Muscle",
     "MuscleLayout",

@@ -120,7 +120,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | transport | way of the ball from its start (x, y, z) / 0.2 height, clipped to the bound | +-10 |
     | transport | velocity of the ball (x, y, z) / (height / s), clipped to the bound | +-10 |
 
-    `LatticeWormGoalEnv` (id `LatticeWormReachGoal-v0`) observes goals apart, for hindsight replay.
+    `LatticeWormGoalEnv` (id `LatticeWormReachGoal-v0`) observes goals apart, for hindsight replay. Many worms at once:
+    `vector_env.LatticeWormVectorEnv`, which `gymnasium.make_vec` makes.
 
     ## Rewards
 

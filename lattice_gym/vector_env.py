@@ -13,7 +13,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from lattice_gym.design import FloatArray, IntArray, shown, whole_number
-from lattice_gym.engines.batch import BatchEngine
 from lattice_gym.env import OK, LatticeWormEnv, LatticeWormGoalEnv, clipped_command, seed_of
 from lattice_gym.model import Motion
 from lattice_gym.observation import Observation
@@ -86,6 +85,8 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         self.action_space = batch_space(one.action_space, self.num_envs)
         self.observation_space = batch_space(one.observation_space, self.num_envs)
         self._episodes, self._start = one.episodes(self.num_envs), one.start
+        from lattice_gym.engines.batch import BatchEngine  # compiled code, which the package does not load unasked
+
         self._engine = BatchEngine(
             [one.model] * self.num_envs,
             one.dt,

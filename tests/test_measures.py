@@ -19,6 +19,7 @@ from lattice_gym.measures import (
     lodging,
     mass_centre,
     muscle_lengths,
+    muscle_strain,
     ring_radii,
     site_positions,
     straightness,
@@ -294,6 +295,31 @@ def test_wrong_recordings(radii: FloatArray, dt: float, level_height: FloatArray
     """The error names the argument."""
     with pytest.raises(ValueError, match=rf"^{message}:"):
         travelling_wave(radii, dt, level_height)
+
+
+@pytest.mark.parametrize("muscle_model", ["rod", "line"])
+@pytest.mark.parametrize("base", ["clamped", "free"])
+def test_worms_side_by_side_are_measured_as_alone(base: str, muscle_model: str) -> None:
+    """Any leading axes, to the last bit: what a worm is beside changes nothing."""
+    lattice = build_lattice(LatticeDesign(base=base, muscle_model=muscle_model))
+    model = build_model(lattice, named_layout("all", lattice))
+    rng = np.random.default_rng(0)
+    position = model.rest_state().position + 1e-3 * rng.standard_normal((3, 2, model.n_node, 3))
+    point = rng.uniform(-0.05, 0.1, (3, 2, 3))
+    of_lattice = (site_positions, strain, top_centre, top_normal, bend_vector, bend_angle, bend_direction, ring_radii)
+    of_model = (joint_gap, mass_centre, muscle_lengths, muscle_strain, dilatation)
+
+    def measured(x: FloatArray, p: FloatArray) -> list[FloatArray]:
+        place = lodging(lattice, x, p)
+        found = [measure(lattice, x) for measure in of_lattice] + [measure(model, x) for measure in of_model]
+        return [*found, straightness(lattice, model, x), place.height, place.outside * 1.0, place.end * 1.0]
+
+    together = measured(position, point)
+    for index in np.ndindex(3, 2):
+        for values, alone in zip(together, measured(position[index], point[index]), strict=True):
+            np.testing.assert_array_equal(values[index], alone)
+    frames = np.broadcast_to(base_frame(lattice, position), (3, 2, 3, 3))
+    np.testing.assert_array_equal(frames[1, 1], base_frame(lattice, position[1, 1]))
 
 
 def test_joint_gap() -> None:
