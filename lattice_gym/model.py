@@ -620,6 +620,23 @@ class RodModel:
         rods = [float(self.rods[rod].rest_length.sum()) for rod in self.muscles]
         return np.array(rods + [float(line.rest_length) for line in self.lines])
 
+    @cached_property
+    def held_nodes(self) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Rows of the nodes that clamps hold, where they rest [m], shape (n, 3), and what of that is rounding [m]."""
+        held = [(clamp.rod, clamp.node) for clamp in self.clamps if clamp.node is not None]
+        place = [self.rods[rod].position[node] for rod, node in held]
+        slack = [_FRAME_TOLERANCE * float(self.rods[rod].rest_length.sum()) for rod, _ in held]
+        rows = [int(self.node_offset[rod]) + node for rod, node in held]
+        return np.array(rows, np.int64), np.reshape(place, (-1, 3)), np.array(slack)
+
+    @cached_property
+    def held_elements(self) -> tuple[IntArray, FloatArray]:
+        """Rows of the elements that clamps hold, and their directors at rest, shape (n, 3, 3)."""
+        held = [(clamp.rod, clamp.element) for clamp in self.clamps if clamp.element is not None]
+        frames = [self.rods[rod].directors[element] for rod, element in held]
+        rows = [int(self.element_offset[rod]) + element for rod, element in held]
+        return np.array(rows, np.int64), np.reshape(frames, (-1, 3, 3))
+
     def scaled(self, structure: float, muscle: float, damping: float) -> RodModel:
         """Return the assembly with factors on the moduli of its rods and muscles and on the damping of both.
 
@@ -704,25 +721,26 @@ class RodState:
         _require(
             finite_number(self.time) is not None, f"RodState.time = {shown(self.time)}: must be a finite number [s]"
         )
+        d1, d2, d3 = (self.directors[:, row] for row in range(3))
         skew = np.abs(self.directors @ self.directors.transpose(0, 2, 1) - np.eye(3)).max()
         _require(bool(skew < _DRIFT_TOLERANCE), "RodState.directors: must be orthonormal")
-        right_handed = bool((np.linalg.det(self.directors) > 0.0).all())
+        right_handed = bool((np.sum(np.cross(d1, d2) * d3, axis=1) > 0.0).all())
         _require(right_handed, "RodState.directors: must be right-handed")
-        for clamp in model.clamps:
-            rod = model.rods[clamp.rod]
-            if clamp.node is not None:
-                gap = self.position[model.nodes(clamp.rod)][clamp.node] - rod.position[clamp.node]
-                still = np.abs(gap).max() < _FRAME_TOLERANCE * rod.rest_length.sum()
-                _require(bool(still), f"RodState.position: {clamp} must stay at rest")
-                _require(
-                    not self.velocity[model.nodes(clamp.rod)][clamp.node].any(), f"RodState.velocity: {clamp} moves"
-                )
-            if clamp.element is not None:
-                turn = self.directors[model.elements(clamp.rod)][clamp.element] - rod.directors[clamp.element]
-                _require(bool(np.abs(turn).max() < _FRAME_TOLERANCE), f"RodState.directors: {clamp} must stay at rest")
-                _require(
-                    not self.omega[model.elements(clamp.rod)][clamp.element].any(), f"RodState.omega: {clamp} turns"
-                )
+        (nodes, place, slack), (elements, frames) = model.held_nodes, model.held_elements
+        clamped = [clamp for clamp in model.clamps if clamp.node is not None]
+        gap = np.abs(self.position[nodes] - place)
+        _refuse_any(~(gap < slack[:, None]), clamped, "RodState.position: {} must stay at rest")
+        _refuse_any(self.velocity[nodes] != 0.0, clamped, "RodState.velocity: {} moves")
+        clamped = [clamp for clamp in model.clamps if clamp.element is not None]
+        turn = np.abs(self.directors[elements] - frames).reshape(-1, 9)
+        _refuse_any(~(turn < _FRAME_TOLERANCE), clamped, "RodState.directors: {} must stay at rest")
+        _refuse_any(self.omega[elements] != 0.0, clamped, "RodState.omega: {} turns")
+
+
+def _refuse_any(wrong: npt.NDArray[np.bool_], clamps: Sequence[Clamp], message: str) -> None:
+    """Raise ValueError that names the first clamp with something wrong in its row."""
+    if wrong.any():
+        raise ValueError(message.format(clamps[int(np.argmax(wrong.any(axis=1)))]))
 
 
 class Motion(NamedTuple):

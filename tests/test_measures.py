@@ -312,7 +312,12 @@ def test_worms_side_by_side_are_measured_as_alone(base: str, muscle_model: str) 
     def measured(x: FloatArray, p: FloatArray) -> list[FloatArray]:
         place = lodging(lattice, x, p)
         found = [measure(lattice, x) for measure in of_lattice] + [measure(model, x) for measure in of_model]
-        return [*found, straightness(lattice, model, x), place.height, place.outside * 1.0, place.end * 1.0]
+        return [
+            *found,
+            straightness(lattice, model, x),
+            place.height,
+            *(np.array(part, dtype=np.float64) for part in (place.outside, place.end)),
+        ]
 
     together = measured(position, point)
     for index in np.ndindex(3, 2):
