@@ -131,14 +131,37 @@ def _element_at(model: RodModel, rod: int, node: int) -> int:
     return min(node, model.rods[rod].n_elem - 1)
 
 
+def positive_step(dt: float) -> float:
+    """Time step [s], or a ValueError."""
+    if (step := finite_number(dt)) is None or step <= 0.0:
+        raise ValueError(f"dt = {shown(dt)}: must be positive and finite [s]")
+    return step
+
+
+def tension_ramp(tension: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+    """Tensions at the start and the end of a call, both of the given shape, or a ValueError."""
+    pull = real_array("tension", tension)
+    if pull.shape not in (shape, (2, *shape)):
+        raise ValueError(f"tension: shape must be {shape} or {(2, *shape)}, got {pull.shape}")
+    if (pull < 0.0).any():
+        raise ValueError("tension: must be finite and not negative [N]")
+    return (pull[0], pull[1]) if pull.ndim > len(shape) else (pull, pull)
+
+
+def step_count(n_substeps: int) -> int:
+    """Find a number of steps that the compiled code can count, or raise a ValueError."""
+    count = whole_number(n_substeps)
+    if count is None or not 1 <= count <= MAX_STEPS:
+        raise ValueError(f"n_substeps = {shown(n_substeps)}: must be a whole number, at least 1")
+    return count
+
+
 class Engine(ABC):
     """Integrates one assembly with a fixed time step."""
 
     def __init__(self, model: RodModel, dt: float, energy_check: bool = False) -> None:
-        if (step := finite_number(dt)) is None or step <= 0.0:
-            raise ValueError(f"dt = {shown(dt)}: must be positive and finite [s]")
         self.model = model
-        self.dt = step
+        self.dt = positive_step(dt)
         self._meter = EnergyMeter(model) if energy_check else None
         self._shadow: Engine | None = None
         self._size = float(np.ptp(model.rest_state().position, axis=0).max())
@@ -199,16 +222,8 @@ class Engine(ABC):
         ValueError
             Wrong shape, a tension that is negative or not finite, or no step.
         """
-        pull = real_array("tension", tension)
-        if pull.shape not in ((self.model.n_muscle,), (2, self.model.n_muscle)):
-            n = self.model.n_muscle
-            raise ValueError(f"tension: shape must be ({n},) or (2, {n}), got {pull.shape}")
-        if (pull < 0.0).any():
-            raise ValueError("tension: must be finite and not negative [N]")
-        count = whole_number(n_substeps)
-        if count is None or not 1 <= count <= MAX_STEPS:
-            raise ValueError(f"n_substeps = {shown(n_substeps)}: must be a whole number, at least 1")
-        start, end = (pull, pull) if pull.ndim == 1 else pull
+        start, end = tension_ramp(tension, (self.model.n_muscle,))
+        count = step_count(n_substeps)
         if self._meter is not None and self._before is None:
             self._before = (state := self.state), self._meter.stored(state)
         self._ledger = self._step_error = None
@@ -264,6 +279,16 @@ class Engine(ABC):
         """Energy that entered and left since the last call; asked for only with the energy check."""
 
 
+def check_options(name: EngineName, splitting: Splitting, energy_check: bool, step_check: bool) -> None:
+    """Refuse options that no engine has."""
+    for argument, value, choices in (("engine", name, EngineName), ("splitting", splitting, Splitting)):
+        if not isinstance(value, str) or value not in get_args(choices):
+            raise ValueError(f"{argument} = {shown(value)}: must be one of {', '.join(get_args(choices))}")
+    for argument, check in (("energy_check", energy_check), ("step_check", step_check)):
+        if not isinstance(check, bool):
+            raise ValueError(f"{argument} = {shown(check)}: must be True or False")
+
+
 def make_engine(
     name: EngineName,
     model: RodModel,
@@ -282,12 +307,7 @@ def make_engine(
         An unknown name or splitting, one that the engine lacks, a check that is not a bool, or dt not positive and
         finite.
     """
-    for argument, value, choices in (("engine", name, EngineName), ("splitting", splitting, Splitting)):
-        if not isinstance(value, str) or value not in get_args(choices):
-            raise ValueError(f"{argument} = {shown(value)}: must be one of {', '.join(get_args(choices))}")
-    for argument, check in (("energy_check", energy_check), ("step_check", step_check)):
-        if not isinstance(check, bool):
-            raise ValueError(f"{argument} = {shown(check)}: must be True or False")
+    check_options(name, splitting, energy_check, step_check)
     engine = _make_engine(name, model, dt, splitting, energy_check)
     return engine.shadowed(_make_engine(name, model, 0.5 * engine.dt, splitting, False)) if step_check else engine
 

@@ -1,12 +1,14 @@
-"""The fused engine: packs a `RodModel` into lanes and lets one compiled call advance it."""
+"""The fused engine: packs a `RodModel`, or several of one shape, into lanes; one compiled call advances them."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from lattice_gym import contact
 from lattice_gym.design import FloatArray, IntArray
@@ -26,6 +28,7 @@ from lattice_gym.engines import (
 )
 from lattice_gym.hill import Hill
 from lattice_gym.model import Joint, Line, Rod, RodModel, RodState
+from lattice_gym.world import Ground
 
 _LARGEST_RATE = 300.0
 _CACHE_LINE = 64
@@ -35,7 +38,10 @@ _SKIN = 0.25
 
 @dataclass(frozen=True)
 class _Placement:
-    """Where every rod stands: its first record and lane; blocks are rows (first record, one past the last)."""
+    """Where every rod of every worm stands: its first record and lane, shape (n_worm, n_rod).
+
+    Blocks are rows (first record, one past the last).
+    """
 
     rod_cell: IntArray
     rod_lane: IntArray
@@ -43,24 +49,21 @@ class _Placement:
     active: IntArray
     n_cell: int
 
-    def cell(self, rod: int, index: int) -> int:
-        """Record of a node or element."""
-        return int(self.rod_cell[rod]) + index
 
-
-def _place(model: RodModel) -> _Placement:
+def _place(model: RodModel, n_worm: int) -> _Placement:
     """Rods of one element count share blocks; muscles have their own, so that no other block pays for tension."""
     muscles = set(model.muscles)
-    groups: dict[tuple[bool, int], list[int]] = defaultdict(list)
-    for index, rod in enumerate(model.rods):
-        groups[index in muscles, rod.n_elem].append(index)
-    rod_cell, rod_lane = np.zeros(model.n_rod, np.int64), np.zeros(model.n_rod, np.int64)
+    groups: dict[tuple[bool, int], list[tuple[int, int]]] = defaultdict(list)
+    for worm in range(n_worm):
+        for index, rod in enumerate(model.rods):
+            groups[index in muscles, rod.n_elem].append((worm, index))
+    rod_cell, rod_lane = np.zeros((2, n_worm, model.n_rod), np.int64)
     bounds: dict[bool, list[tuple[int, int]]] = {False: [], True: []}
     n_cell = 0
     for (is_muscle, n_elem), members in sorted(groups.items()):
         for start in range(0, len(members), kernels.LANES):
-            block = members[start : start + kernels.LANES]
-            rod_cell[block], rod_lane[block] = n_cell, np.arange(len(block))
+            block = tuple(np.array(members[start : start + kernels.LANES]).T)
+            rod_cell[block], rod_lane[block] = n_cell, np.arange(len(block[0]))
             bounds[is_muscle].append((n_cell, n_cell + n_elem + 1))
             n_cell += n_elem + 1
     passive, active = (np.array(bounds[kind], np.int64).reshape(-1, 2) for kind in (False, True))
@@ -107,6 +110,254 @@ def _pack_hill(hill: Hill | None) -> kernels.Hill | None:
     )
 
 
+def _pack_ground(ground: Ground | None) -> kernels.Ground | None:
+    """Constants of the ground."""
+    if ground is None:
+        return None
+    along, against, across = ground.forward, ground.backward, ground.sideways
+    friction = ground.static_friction, ground.kinetic_friction
+    return kernels.Ground(ground.stiffness, ground.damping, *friction, along, against, across)
+
+
+def node_decay(model: RodModel, dt: float) -> FloatArray:
+    """Rate of damping of every node times the step, shape (n_node,)."""
+    rate: FloatArray = model.node_damping / model.node_mass * dt
+    return rate
+
+
+class Features(NamedTuple):
+    """What a scene has, and so what is compiled for it: worms side by side have all of it in common.
+
+    Alone, a worm that lacks a feature pays nothing for it, and the code that has none rounds differently.
+    """
+
+    splitting: Splitting
+    damped_joints: bool
+    lines: bool
+    loads: bool
+    torques: bool
+    damped_spin: bool
+    hill: Hill | None
+    ground: Ground | None
+
+
+def features(model: RodModel, splitting: Splitting) -> Features:
+    """Find what a scene has."""
+    return Features(
+        splitting,
+        any(joint.damping > 0.0 for joint in model.joints),
+        len(model.lines) > 0,
+        bool(_loads(model).any()),
+        len(model.torques) > 0,
+        any(rod.rotational_damping > 0.0 for rod in model.rods),
+        model.hill,
+        model.ground,
+    )
+
+
+def _loads(model: RodModel) -> FloatArray:
+    """Weights and point forces: what the force on a node starts from in every step, shape (n_node, 3)."""
+    load = model.node_weight.copy()
+    for force in model.forces:
+        load[int(model.node_offset[force.rod]) + force.node] += force.force
+    return load
+
+
+class Pack:
+    """Worms of one shape and with the same features side by side in lanes: what the compiled code works on.
+
+    A worm moves to the last bit as it would alone. `position` and `velocity`, shape (n, n_node, 3), are written in the
+    `rows` of its worms where they end a call in a sound state.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[RodModel],
+        dt: float,
+        splitting: Splitting,
+        rows: npt.ArrayLike = (0,),
+        position: FloatArray | None = None,
+        velocity: FloatArray | None = None,
+    ) -> None:
+        model, n_worm = models[0], len(models)
+        self.models = list(models)
+        self.dt = dt
+        self.features = has = features(model, splitting)
+        self.time = np.zeros(n_worm)
+        place = self.place = _place(model, n_worm)
+        counts = np.array([rod.n_elem for rod in model.rods])
+        nodes = np.concatenate([np.arange(n + 1) for n in counts])
+        elements = np.concatenate([np.arange(n) for n in counts])
+        self.node = np.repeat(place.rod_cell, counts + 1, axis=1) + nodes, np.repeat(place.rod_lane, counts + 1, axis=1)
+        self.element = np.repeat(place.rod_cell, counts, axis=1) + elements, np.repeat(place.rod_lane, counts, axis=1)
+        self.cells = _aligned(place.n_cell)
+        n_joint, n_line, n_muscle = len(model.joints), len(model.lines), len(model.muscles)
+        self.joints = kernels.Joints(*self._ends(model.joints), np.zeros(n_worm * n_joint))
+        self.joint_damping = np.zeros(n_worm * n_joint) if has.damped_joints else None
+        self.lines = kernels.Lines(*self._ends(model.lines), *np.zeros((4, n_worm * n_line))) if has.lines else None
+        muscle = np.full(model.n_rod, -1)
+        muscle[list(model.muscles)] = np.arange(n_muscle)
+        muscle_of = np.repeat(muscle, counts)
+        pulled = muscle_of >= 0
+        self._pulled = self.element[0][:, pulled], self.element[1][:, pulled]
+        self._muscle = muscle_of[pulled]
+        self.rows: IntArray = np.array(rows, np.int64)
+        shape = n_worm, model.n_node, 3
+        self.worms = kernels.Worms(
+            *self.node, *self.element, np.zeros((n_worm, n_joint)), self.rows,
+            np.zeros(shape) if position is None else position, np.zeros(shape) if velocity is None else velocity,
+            *np.zeros((2, n_worm), np.int64),
+        )  # fmt: skip
+        self.hill = _pack_hill(model.hill)
+        self.ground = _pack_ground(model.ground)
+        for worm, own in enumerate(models):
+            self.fill(worm, own)
+        self._fill_spare_lanes()
+
+    def _ends(self, ties: Sequence[Joint | Line]) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+        """Find records and lanes of the first and the second node of each tie, worm by worm."""
+        cell, lane = self.place.rod_cell, self.place.rod_lane
+        rod_a, node_a, rod_b, node_b = (
+            np.array([getattr(tie, name) for tie in ties], np.int64) for name in ("rod_a", "node_a", "rod_b", "node_b")
+        )
+        return (
+            (cell[:, rod_a] + node_a).ravel(), lane[:, rod_a].ravel(),
+            (cell[:, rod_b] + node_b).ravel(), lane[:, rod_b].ravel(),
+        )  # fmt: skip
+
+    def fill(self, worm: int, model: RodModel) -> None:
+        """Write the constants of a model, and its rest state, into the lanes of a worm."""
+        self.models[worm] = model
+        place, cells, has = self.place, self.cells, self.features
+        node, element = (self.node[0][worm], self.node[1][worm]), (self.element[0][worm], self.element[1][worm])
+        for cell, lane, rod in zip(place.rod_cell[worm], place.rod_lane[worm], model.rods, strict=True):
+            _fill_lane(cells[cell : cell + rod.n_elem + 1], lane, rod, self.dt)
+        before, after = damping_shares(node_decay(model, self.dt), has.splitting)
+        cells["keep"][node] = before * after
+        cells["push"][node] = self.dt / model.node_mass * after
+        for clamp in model.clamps:
+            cell, lane = place.rod_cell[worm, clamp.rod], place.rod_lane[worm, clamp.rod]
+            if clamp.node is not None:
+                cells["keep"][cell + clamp.node, lane] = cells["push"][cell + clamp.node, lane] = 0.0
+            if clamp.element is not None:
+                cells["free"][cell + clamp.element, lane] = 0.0
+        if has.loads:
+            for name in ("load", "force"):
+                cells[name][node[0], :, node[1]] = _loads(model)
+        if has.ground is not None:
+            cells["height"][node] = model.node_radius
+        if has.torques:
+            cells["couple"][element[0], :, element[1]] = 0.0
+            for load in model.torques:
+                cell, lane = place.rod_cell[worm, load.rod] + load.element, place.rod_lane[worm, load.rod]
+                cells["couple"][cell, :, lane] += load.torque
+        own = slice(worm * len(model.joints), (worm + 1) * len(model.joints))
+        self.joints.stiffness[own] = [joint.stiffness for joint in model.joints]
+        self.worms.reach[worm] = joint_reach(model)
+        if self.joint_damping is not None:
+            self.joint_damping[own] = [joint.damping for joint in model.joints]
+        if self.lines is not None:
+            own = slice(worm * len(model.lines), (worm + 1) * len(model.lines))
+            self.lines.rest_length[own] = [line.rest_length for line in model.lines]
+            self.lines.stiffness[own] = [line.stiffness for line in model.lines]
+        self.restore(worm, model.rest_state())
+
+    def _fill_spare_lanes(self) -> None:
+        """Fill spare lanes with copies of their block's first rod that neither move nor turn, nor touch the ground."""
+        place = self.place
+        for start, stop in (*place.passive, *place.active):
+            worm, rod = np.nonzero(place.rod_cell == start)
+            for lane in range(len(rod), kernels.LANES):
+                _fill_lane(self.cells[start:stop], lane, self.models[worm[0]].rods[rod[0]], self.dt)
+            self.cells["free"][start:stop, len(rod) :] = 0.0
+            self.cells["height"][start:stop, len(rod) :] = -np.inf
+
+    def state(self, worm: int) -> RodState:
+        """Copy the state of a worm, without a ball."""
+        cells = self.cells
+        node, lane = self.node[0][worm], self.node[1][worm]
+        element, own = self.element[0][worm], self.element[1][worm]
+        return RodState(
+            position=cells["x"][node, :, lane],
+            velocity=cells["v"][node, :, lane],
+            directors=cells["q"][element, :, own].reshape(-1, 3, 3),
+            omega=cells["w"][element, :, own],
+            time=float(self.time[worm]),
+        )
+
+    def restore(self, worm: int, state: RodState) -> None:
+        """Take over the state of a worm; it is not checked."""
+        cells, row = self.cells, self.worms.row[worm]
+        node, lane = self.node[0][worm], self.node[1][worm]
+        element, own = self.element[0][worm], self.element[1][worm]
+        cells["x"][node, :, lane] = self.worms.position[row] = state.position
+        cells["v"][node, :, lane] = self.worms.velocity[row] = state.velocity
+        cells["q"][element, :, own] = state.directors.reshape(-1, 9)
+        cells["w"][element, :, own] = state.omega
+        self.time[worm] = state.time
+
+    def advance(
+        self,
+        start: FloatArray,
+        end: FloatArray,
+        n_substeps: int,
+        ball: kernels.Ball | None = None,
+        contact: kernels.Contact | None = None,
+        account: kernels.Account | None = None,
+    ) -> IntArray:
+        """Advance with tensions that go from `start` to `end` [N], shape (n_worm, n_muscle).
+
+        Returns
+        -------
+        Status codes, shape (n_worm,).
+        """
+        rise = (end - start) / n_substeps
+        first = start + 0.5 * rise
+        self.cells["tension"][self._pulled] = first[:, self._muscle]
+        self.cells["tension_rise"][self._pulled] = rise[:, self._muscle]
+        if self.lines is not None:
+            n_rod = len(self.models[0].muscles)
+            self.lines.tension[:] = first[:, n_rod:].ravel()
+            self.lines.rise[:] = rise[:, n_rod:].ravel()
+        has = self.features
+        kernels.run(
+            self.cells,
+            self.place.passive,
+            self.place.active,
+            self.joints,
+            self.joint_damping,
+            self.lines,
+            self.hill,
+            1.0 if has.loads else None,
+            self.ground,
+            1.0 if has.torques else None,
+            1.0 if has.damped_spin else None,
+            1.0 if has.splitting == "symmetric" else None,
+            ball,
+            contact,
+            account,
+            n_substeps,
+            self.dt,
+            self.worms,
+            MIN_DILATATION,
+            MAX_DILATATION,
+        )
+        self.time += n_substeps * self.dt
+        return self.worms.status
+
+    def health(self, worm: int) -> Health:
+        """How a worm ended the last call, and where it failed."""
+        model, code, found = self.models[worm], Status(self.worms.status[worm]), int(self.worms.found[worm])
+        if code == Status.OK:
+            return Health()
+        if code == Status.TORN:
+            return torn(model, found)
+        if found >= model.n_elem:
+            return overstretched(model, found - model.n_elem)
+        rod = int(np.searchsorted(model.element_offset, found, side="right")) - 1
+        return Health(code, rod, found - int(model.element_offset[rod]))
+
+
 class FusedEngine(Engine):
     """All rods of equal element count side by side in lanes; see `kernels`."""
 
@@ -114,70 +365,27 @@ class FusedEngine(Engine):
         self, model: RodModel, dt: float, splitting: Splitting = "pyelastica", energy_check: bool = False
     ) -> None:
         super().__init__(model, dt, energy_check)
-        self._symmetric = 1.0 if splitting == "symmetric" else None
-        place = self._place = _place(model)
-        counts = np.array([rod.n_elem for rod in model.rods])
-        self._node_lane = np.repeat(place.rod_lane, counts + 1)
-        self._node_cell = np.concatenate([c + np.arange(n + 1) for c, n in zip(place.rod_cell, counts, strict=True)])
-        self._element_lane = np.repeat(place.rod_lane, counts)
-        self._element_cell = np.concatenate([c + np.arange(n) for c, n in zip(place.rod_cell, counts, strict=True)])
-        self._cells = self._pack_rods()
-        muscle = np.full(model.n_rod, -1)
-        muscle[list(model.muscles)] = np.arange(len(model.muscles))
-        muscle_of = np.repeat(muscle, counts)
-        pulled = muscle_of >= 0
-        self._pull = self._element_cell[pulled], self._element_lane[pulled], muscle_of[pulled]
-        self._joints, self._joint_damping = self._pack_joints()
-        self._lines = self._pack_lines()
-        self._hill = _pack_hill(model.hill)
-        self._reach = joint_reach(model)
-        self._loads = self._pack_loads()
-        self._ground = self._pack_ground()
-        self._couples = self._pack_torques()
-        self._spin_damping = 1.0 if any(rod.rotational_damping > 0.0 for rod in model.rods) else None
+        self._splitting = splitting
+        self._pack = Pack([model], self.dt, splitting)
+        self._cells = self._pack.cells
+        self._node = self._pack.node[0][0], self._pack.node[1][0]
+        self._element = self._pack.element[0][0], self._pack.element[1][0]
         self._ball = self._pack_ball()
         self._contact = self._pack_contact()
         self._account = self._open_account() if energy_check else None
-        self._time = 0.0
-
-    def _pack_rods(self) -> kernels.Cells:
-        """All records at rest. A spare lane holds a copy of its block's first rod, which neither moves nor turns."""
-        place, cells = self._place, _aligned(self._place.n_cell)
-        for start, stop in (*place.passive, *place.active):
-            members = np.flatnonzero(place.rod_cell == start).tolist()
-            for lane in range(kernels.LANES):
-                rod = self.model.rods[members[lane] if lane < len(members) else members[0]]
-                _fill_lane(cells[start:stop], lane, rod, self.dt)
-            cells["free"][start:stop, len(members) :] = 0.0
-        before, after = damping_shares(self._decay(), "symmetric" if self._symmetric else "pyelastica")
-        cells["keep"][self._node_cell, self._node_lane] = before * after
-        cells["push"][self._node_cell, self._node_lane] = self.dt / self.model.node_mass * after
-        for clamp in self.model.clamps:
-            lane = place.rod_lane[clamp.rod]
-            if clamp.node is not None:
-                cell = place.cell(clamp.rod, clamp.node)
-                cells["keep"][cell, lane] = cells["push"][cell, lane] = 0.0
-            if clamp.element is not None:
-                cells["free"][place.cell(clamp.rod, clamp.element), lane] = 0.0
-        return cells
-
-    def _decay(self) -> FloatArray:
-        """Rate of damping of every node times the step, shape (n_node,)."""
-        rate: FloatArray = self.model.node_damping / self.model.node_mass * self.dt
-        return rate
 
     def _open_account(self) -> kernels.Account:
         """Account with nothing in it: constants of every node and element by record and lane."""
-        n_cell, lanes = self._place.n_cell, kernels.LANES
+        n_cell, lanes = self._pack.place.n_cell, kernels.LANES
         after, before, mixed, inertia, length, pull = np.zeros((6, n_cell, lanes))
         velocity, omega = np.zeros((2, n_cell, 3, lanes))
         line, line_pull = np.zeros((2, len(self.model.lines)))
-        node, element = (self._node_cell, self._node_lane), (self._element_cell, self._element_lane)
-        rate = self._decay()
-        if not self._symmetric:
+        node, element = self._node, self._element
+        rate = node_decay(self.model, self.dt)
+        if self._splitting != "symmetric":
             # A rate this large leaves no speed worth counting; without the bound what it left would overflow.
             rate = np.minimum(rate, _LARGEST_RATE)
-        early, late = damping_shares(rate, "symmetric" if self._symmetric else "pyelastica")
+        early, late = damping_shares(rate, self._splitting)
         half = 0.5 * self.model.node_mass
         after[node], before[node], mixed[node] = (
             half * (1.0 / late - 1.0),
@@ -188,60 +396,15 @@ class FusedEngine(Engine):
         moved = length, pull, velocity, omega, line, line_pull
         return kernels.Account(np.zeros(3), after, before, mixed, inertia, *moved)
 
-    def _pack_joints(self) -> tuple[kernels.Joints, FloatArray | None]:
-        joints = self.model.joints
-        damping = np.array([j.damping for j in joints], np.float64)
-        packed = kernels.Joints(*self._pack_ends(joints), np.array([j.stiffness for j in joints], np.float64))
-        return packed, damping if damping.any() else None
-
-    def _pack_lines(self) -> kernels.Lines | None:
-        lines = self.model.lines
-        if not lines:
-            return None
-        rest_length, stiffness = np.array([line.rest_length for line in lines]), np.array([x.stiffness for x in lines])
-        tension, rise = np.zeros((2, len(lines)))
-        return kernels.Lines(*self._pack_ends(lines), rest_length, stiffness, tension, rise)
-
-    def _pack_ends(self, ties: Sequence[Joint | Line]) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-        """Find records and lanes of the first and the second node of each tie."""
-        place = self._place
-        return (
-            np.array([place.cell(tie.rod_a, tie.node_a) for tie in ties], np.int64),
-            np.array([place.rod_lane[tie.rod_a] for tie in ties], np.int64),
-            np.array([place.cell(tie.rod_b, tie.node_b) for tie in ties], np.int64),
-            np.array([place.rod_lane[tie.rod_b] for tie in ties], np.int64),
-        )
-
-    def _pack_loads(self) -> float | None:
-        """Weights and point forces: what the force on a node starts from in every step."""
-        load = self.model.node_weight.copy()
-        for force in self.model.forces:
-            load[int(self.model.node_offset[force.rod]) + force.node] += force.force
-        if not load.any():
-            return None
-        for name in ("load", "force"):
-            self._cells[name][self._node_cell, :, self._node_lane] = load
-        return 1.0
-
-    def _pack_ground(self) -> kernels.Ground | None:
-        ground, cells = self.model.ground, self._cells
-        if ground is None:
-            return None
-        cells["height"][:] = -np.inf  # no spare lane touches it
-        cells["height"][self._node_cell, self._node_lane] = self.model.node_radius
-        along, against, across = ground.forward, ground.backward, ground.sideways
-        friction = ground.static_friction, ground.kinetic_friction
-        return kernels.Ground(ground.stiffness, ground.damping, *friction, along, against, across)
-
     def _pack_ball(self) -> kernels.Ball | None:
         ball = self.model.bolus
         if ball is None:
             return None
-        reach = np.zeros((self._place.n_cell, kernels.LANES))
-        reach[self._element_cell, self._element_lane] = ball.radius + self.model.element_radius
+        reach = np.zeros((self._pack.place.n_cell, kernels.LANES))
+        reach[self._element] = ball.radius + self.model.element_radius
         return kernels.Ball(
             place=ball.position.copy(), speed=np.zeros(3), spin=np.zeros(3), force=np.array(ball.force),
-            load=np.zeros(7), reach=reach, touching=np.zeros(self._place.n_cell, np.int64),
+            load=np.zeros(7), reach=reach, touching=np.zeros(self._pack.place.n_cell, np.int64),
             kick=self.dt / ball.mass, spin_kick=self.dt / ball.inertia,
             stiffness=ball.stiffness, damping=ball.damping, friction=ball.friction, slip_speed=ball.slip_speed,
         )  # fmt: skip
@@ -255,76 +418,35 @@ class FusedEngine(Engine):
         rod, radius = contact.rod_of(model)[element], model.element_radius[element]
         never = np.searchsorted(element, contact.excluded(model))
         return kernels.Contact(
-            cell=self._element_cell[element], lane=self._element_lane[element], rod=rod, radius=radius,
+            cell=self._element[0][element], lane=self._element[1][element], rod=rod, radius=radius,
             never=never[:, 1].copy(), row=np.searchsorted(never[:, 0], np.arange(n_elem + 1)),
             listed=np.zeros((n_elem, 2, 3)), ends=np.zeros((n_elem, 2, 3)), grid=np.zeros((n_elem, 3), np.int64),
             head=np.zeros(2 ** (2 * n_elem).bit_length(), np.int64), behind=np.zeros(n_elem, np.int64),
             stiffness=law.stiffness, damping=law.damping, skin=_SKIN * 2.0 * float(radius.max(initial=0.0)),
         )  # fmt: skip
 
-    def _pack_torques(self) -> float | None:
-        for load in self.model.torques:
-            cell, lane = self._place.cell(load.rod, load.element), self._place.rod_lane[load.rod]
-            self._cells["couple"][cell, :, lane] += load.torque
-        return 1.0 if self.model.torques else None
-
     @property
     def state(self) -> RodState:
         """A copy of the state."""
-        cells, n_elem, ball = self._cells, self.model.n_elem, self._ball
-        moving = np.zeros((3, 0, 3)) if ball is None else np.stack([ball.place, ball.speed, ball.spin])[:, None]
-        return RodState(
-            position=cells["x"][self._node_cell, :, self._node_lane],
-            velocity=cells["v"][self._node_cell, :, self._node_lane],
-            directors=cells["q"][self._element_cell, :, self._element_lane].reshape(n_elem, 3, 3),
-            omega=cells["w"][self._element_cell, :, self._element_lane],
-            bolus_position=moving[0],
-            bolus_velocity=moving[1],
-            bolus_omega=moving[2],
-            time=self._time,
-        )
+        state, ball = self._pack.state(0), self._ball
+        if ball is None:
+            return state
+        place, speed, spin = np.stack([ball.place, ball.speed, ball.spin])[:, None]
+        return replace(state, bolus_position=place, bolus_velocity=speed, bolus_omega=spin)
 
     def _restore(self, state: RodState) -> None:
-        cells = self._cells
-        cells["x"][self._node_cell, :, self._node_lane] = state.position
-        cells["v"][self._node_cell, :, self._node_lane] = state.velocity
-        cells["q"][self._element_cell, :, self._element_lane] = state.directors.reshape(-1, 9)
-        cells["w"][self._element_cell, :, self._element_lane] = state.omega
+        self._pack.restore(0, state)
         if self._ball is not None:
             self._ball.place[:], self._ball.speed[:] = state.bolus_position[0], state.bolus_velocity[0]
             self._ball.spin[:] = state.bolus_omega[0]
-        self._time = state.time
 
     def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:
-        cell, lane, muscle = self._pull
-        rise = (end - start) / n_substeps
-        self._cells["tension"][cell, lane] = (start + 0.5 * rise)[muscle]
-        self._cells["tension_rise"][cell, lane] = rise[muscle]
-        if self._lines is not None:
-            n_rod = len(self.model.muscles)
-            self._lines.tension[:] = (start + 0.5 * rise)[n_rod:]
-            self._lines.rise[:] = rise[n_rod:]
-        kernels.advance(
-            self._cells,
-            self._place.passive,
-            self._place.active,
-            self._joints,
-            self._joint_damping,
-            self._lines,
-            self._hill,
-            self._loads,
-            self._ground,
-            self._couples,
-            self._spin_damping,
-            self._symmetric,
-            self._ball,
-            self._contact,
-            self._account,
-            n_substeps,
-            self.dt,
-        )
-        self._time += n_substeps * self.dt
-        return self._inspected()
+        self._pack.advance(start[None], end[None], n_substeps, self._ball, self._contact, self._account)
+        health, ball = self._pack.health(0), self._ball
+        if not health.ok or ball is None:
+            return health
+        sound = np.isfinite([ball.place, ball.speed, ball.spin]).all()
+        return health if sound else Health(Status.NON_FINITE)
 
     def _flow(self) -> Flow:
         """Return what the account holds, and empty it."""
@@ -332,25 +454,3 @@ class FusedEngine(Engine):
         muscle_work, load_work, dissipated = self._account.total.tolist()
         self._account.total[:] = 0.0
         return Flow(muscle_work, load_work, dissipated)
-
-    def _inspected(self) -> Health:
-        code, found = kernels.inspect(
-            self._cells,
-            self._element_cell,
-            self._element_lane,
-            MIN_DILATATION,
-            MAX_DILATATION,
-            self._joints,
-            self._reach,
-            self._lines,
-        )
-        if code == Status.OK:
-            ball = self._ball
-            lost = ball is not None and not np.isfinite([ball.place, ball.speed, ball.spin]).all()
-            return Health(Status.NON_FINITE if lost else Status.OK)
-        if code == Status.TORN:
-            return torn(self.model, found)
-        if found >= self.model.n_elem:
-            return overstretched(self.model, found - self.model.n_elem)
-        rod = int(np.searchsorted(self.model.element_offset, found, side="right")) - 1
-        return Health(Status(code), rod, found - int(self.model.element_offset[rod]))

@@ -36,6 +36,7 @@ _PER_LANE: dict[str, int] = {
     "rest_voronoi": 1, "inv_rest_voronoi": 1, "bend": 1, "twist": 1, "rest_kappa": 3,
     # work space
     "torque": 3, "length": 1, "dilatation": 1, "lean": 3, "stretch_rate": 1, "half_angle": 1, "spin_keep": 1,
+    "square": 1, "sine": 1, "versine": 1,
     # only where the scene has them
     "tension": 1, "tension_rise": 1, "couple": 3, "spin_decay": 1, "spin_late": 1, "load": 3, "height": 1, "rubbed": 1,
 }  # fmt: skip
@@ -173,22 +174,51 @@ class Account(NamedTuple):
     line_pull: npt.NDArray[np.float64]
 
 
+class Worms(NamedTuple):
+    """Who is who among the records: record and lane of every node and element of each worm.
+
+    Shapes (n_worm, n_node) and (n_worm, n_elem); `reach` is the gap at which each joint counts as torn [m], shape
+    (n_worm, n_joint). Positions and velocities, shape (n, n_node, 3), are written in the `row` of each worm that is
+    sound; `status` (as `engines.Status`) and `found`, the element or joint at fault, shape (n_worm,), for each.
+    """
+
+    node_cell: npt.NDArray[np.int64]
+    node_lane: npt.NDArray[np.int64]
+    cell: npt.NDArray[np.int64]
+    lane: npt.NDArray[np.int64]
+    reach: npt.NDArray[np.float64]
+    row: npt.NDArray[np.int64]
+    position: npt.NDArray[np.float64]
+    velocity: npt.NDArray[np.float64]
+    status: npt.NDArray[np.int64]
+    found: npt.NDArray[np.int64]
+
+
 def compiled(function: Function) -> Function:
-    """Compile with the licence to reorder and fuse, but not to assume that NaN never occurs: divergence must show."""
-    options = {"nsz", "arcp", "contract", "afn", "reassoc"}
+    """Compile with the licence to fuse, but not to assume that NaN never occurs: divergence must show.
+
+    Nor to reorder: what the compiler unrolls it then orders differently from one half of the lanes to the other, and how
+    a rod moves would depend on its lane.
+    """
+    options = {"nsz", "arcp", "contract", "afn"}
     return cast(Function, njit(cache=True, error_model="numpy", fastmath=options)(function))
 
 
 def compiled_strictly(function: Function) -> Function:
-    """Compile with no licence at all: under "reassoc" numba's isfinite, which tests x - x, is folded to True."""
+    """Compile with no licence at all: in loops that branch lane by lane, and where NaN is looked for."""
     return cast(Function, njit(cache=True, error_model="numpy")(function))
+
+
+def entry(function: Function) -> Function:
+    """Compile what Python calls: it lets other threads run meanwhile."""
+    return cast(Function, njit(cache=True, error_model="numpy", nogil=True)(function))
 
 
 # asin(sqrt(y)) / sqrt(y (1 - y)) = sum_k c_k y^k with c_0 = 1, c_k = c_(k-1) 2k / (2k + 1); with y = sin^2(angle / 2)
 # it is angle / sin(angle). Fifteen terms are exact to rounding for y < 0.09, an angle of 35 degrees.
 _ARC = tuple(float(np.prod([2.0 * k / (2.0 * k + 1.0) for k in range(1, n + 1)])) for n in range(15))
 _A0, _A1, _A2, _A3, _A4, _A5, _A6, _A7, _A8, _A9, _A10, _A11, _A12, _A13, _A14 = _ARC
-_LARGE_Y = 0.09
+_LARGE_HALF = 0.5 * float(np.polynomial.polynomial.polyval(0.09, _ARC))
 # sin(t)/t and (1 - cos t)/t^2 as series in t^2: eight terms are exact to rounding for t^2 < 0.25.
 _LARGE_T2 = 0.25
 _LARGE_DECAY = 0.25
@@ -283,8 +313,9 @@ def _couple(pair: Cells) -> None:
         y4 = y2 * y2
         low = (_A0 + _A1 * y) + y2 * (_A2 + _A3 * y) + y4 * ((_A4 + _A5 * y) + y2 * (_A6 + _A7 * y))
         high = (_A8 + _A9 * y) + y2 * (_A10 + _A11 * y) + y4 * ((_A12 + _A13 * y) + y2 * _A14)
-        half_angle[j] = 0.5 * (low + y4 * y4 * high)
-        n_large += 1 if y > _LARGE_Y else 0
+        half = 0.5 * (low + y4 * y4 * high)
+        half_angle[j] = half
+        n_large += 1 if half > _LARGE_HALF else 0
     if n_large > 0:
         _large_half_angle(pair)
     rest, inv_rest, kappa = here.rest_voronoi, here.inv_rest_voronoi, here.rest_kappa
@@ -317,18 +348,18 @@ def _couple(pair: Cells) -> None:
         right[2, j] += u2 - t2 * cube
 
 
-@compiled
+@compiled_strictly
 def _large_half_angle(pair: Cells) -> None:
     """Write angle / (2 sin(angle)) between elements e and e + 1 into half_angle where the series does not reach."""
     here, there = pair[0], pair[1]
     p, q, half_angle = here.q, there.q, here.half_angle
     for j in range(LANES):
-        trace = 0.0
-        for i in range(9):
-            trace += q[i, j] * p[i, j]
-        y = 0.75 - 0.25 * trace
-        if y > _LARGE_Y:
-            y = min(y, 1.0 - 1e-15)
+        # By what the series gave: a trace summed anew may round otherwise, and then another lane would decide.
+        if half_angle[j] > _LARGE_HALF:
+            trace = 0.0
+            for i in range(9):
+                trace += q[i, j] * p[i, j]
+            y = min(0.75 - 0.25 * trace, 1.0 - 1e-15)
             half_angle[j] = 0.5 * np.arcsin(np.sqrt(y)) / np.sqrt(y * (1.0 - y))
 
 
@@ -461,20 +492,22 @@ def _exp_tail(y: float) -> float:
 @compiled
 def _rotate_element(here: Any, drift: float) -> None:
     """Turn the directors of element e by its angular velocity over `drift` seconds."""
-    q, w = here.q, here.w
+    q, w, square, sine, versine = here.q, here.w, here.square, here.sine, here.versine
     n_large = 0
-    for j in range(LANES):
-        a, b, c = drift * w[0, j], drift * w[1, j], drift * w[2, j]
-        n_large += 1 if a * a + b * b + c * c > _LARGE_T2 else 0
-    if n_large > 0:
-        _rotate_element_far(here, drift)
-        return
     for j in range(LANES):
         a, b, c = drift * w[0, j], drift * w[1, j], drift * w[2, j]
         t2 = a * a + b * b + c * c
         t4 = t2 * t2
-        s = (1.0 - t2 / 6) + t4 * ((1 / 120 - t2 / 5040) + t4 * ((1 / 362880 - t2 / 39916800) + t4 / 6227020800))
-        k = (0.5 - t2 / 24) + t4 * ((1 / 720 - t2 / 40320) + t4 * ((1 / 3628800 - t2 / 479001600) + t4 / 87178291200))
+        sine[j] = (1.0 - t2 / 6) + t4 * ((1 / 120 - t2 / 5040) + t4 * ((1 / 362880 - t2 / 39916800) + t4 / 6227020800))
+        versine[j] = (0.5 - t2 / 24) + t4 * (
+            (1 / 720 - t2 / 40320) + t4 * ((1 / 3628800 - t2 / 479001600) + t4 / 87178291200)
+        )
+        square[j] = t2
+        n_large += 1 if t2 > _LARGE_T2 else 0
+    if n_large > 0:
+        _large_turn(here)
+    for j in range(LANES):
+        a, b, c, s, k = drift * w[0, j], drift * w[1, j], drift * w[2, j], sine[j], versine[j]
         r00, r11, r22 = 1 - k * (b * b + c * c), 1 - k * (a * a + c * c), 1 - k * (a * a + b * b)
         r01, r10 = s * c + k * a * b, -s * c + k * a * b
         r02, r20 = -s * b + k * a * c, s * b + k * a * c
@@ -493,21 +526,15 @@ def _rotate_element(here: Any, drift: float) -> None:
         q[8, j] = r20 * d0 + r21 * d1 + r22 * d2
 
 
-@compiled
-def _rotate_element_far(here: Any, drift: float) -> None:
-    """Rotate as `_rotate_element` by Rodrigues' formula, for angles beyond the reach of the series."""
-    q, w = here.q, here.w
+@compiled_strictly
+def _large_turn(here: Any) -> None:
+    """Write sin(t) / t and (1 - cos t) / t^2 where the series of `_rotate_element` do not reach."""
+    square, sine, versine = here.square, here.sine, here.versine
     for j in range(LANES):
-        a, b, c = drift * w[0, j], drift * w[1, j], drift * w[2, j]
-        t2 = a * a + b * b + c * c
-        t = np.sqrt(t2)
-        s = np.sin(t) / t if t > 0.0 else 1.0
-        k = 2.0 * np.sin(0.5 * t) ** 2 / t2 if t > 0.0 else 0.5
-        for i in range(3):
-            d0, d1, d2 = q[i, j], q[3 + i, j], q[6 + i, j]
-            q[i, j] = d0 - k * ((b * b + c * c) * d0 - a * b * d1 - a * c * d2) + s * (c * d1 - b * d2)
-            q[3 + i, j] = d1 - k * ((a * a + c * c) * d1 - a * b * d0 - b * c * d2) + s * (a * d2 - c * d0)
-            q[6 + i, j] = d2 - k * ((a * a + b * b) * d2 - a * c * d0 - b * c * d1) + s * (b * d0 - a * d1)
+        if square[j] > _LARGE_T2:
+            t = np.sqrt(square[j])
+            sine[j] = np.sin(t) / t
+            versine[j] = 2.0 * np.sin(0.5 * t) ** 2 / square[j]
 
 
 @compiled
@@ -1066,23 +1093,20 @@ def _joint_loss(cells: Cells, joints: Joints, damping: npt.NDArray[np.float64], 
 
 
 @compiled_strictly
-def inspect(
+def _inspect(
     cells: Cells,
-    cell: npt.NDArray[np.int64],
-    lane: npt.NDArray[np.int64],
+    worms: Worms,
+    worm: int,
     min_dilatation: float,
     max_dilatation: float,
     joints: Joints,
-    reach: npt.NDArray[np.float64],
     lines: Lines | None,
 ) -> tuple[int, int]:
-    """Status code (as `engines.Status`) and the first element or joint at fault, or (0, -1).
-
-    `cell` and `lane` are those of each element, `reach` is the gap at which each joint counts as torn [m]. Lines are
-    counted on from the elements.
-    """
-    for e in range(cell.shape[0]):
-        here, there, j = cells[cell[e]], cells[cell[e] + 1], lane[e]
+    """Status code of a worm and its first element or joint at fault, or (0, -1); lines count on from the elements."""
+    n_elem, n_joint = worms.cell.shape[1], worms.reach.shape[1]
+    for e in range(n_elem):
+        first, j = worms.cell[worm, e], worms.lane[worm, e]
+        here, there = cells[first], cells[first + 1]
         square, along, sum_ = 0.0, 0.0, 0.0
         for i in range(3):
             side = there.x[i, j] - here.x[i, j]
@@ -1098,16 +1122,19 @@ def inspect(
             return 2, e
         if along <= 0.0:
             return 3, e
-    for n in range(joints.cell_a.shape[0]):
+    for k in range(n_joint):
+        n = worm * n_joint + k
         a, b, la, lb = cells[joints.cell_a[n]], cells[joints.cell_b[n]], joints.lane_a[n], joints.lane_b[n]
         square = 0.0
         for i in range(3):
             gap = b.x[i, lb] - a.x[i, la]
             square += gap * gap
-        if not square <= reach[n] * reach[n]:
-            return 4, n
+        if not square <= worms.reach[worm, k] * worms.reach[worm, k]:
+            return 4, k
     if lines is not None:
-        for n in range(lines.cell_a.shape[0]):
+        n_line = lines.cell_a.shape[0] // worms.row.shape[0]
+        for k in range(n_line):
+            n = worm * n_line + k
             a, b, la, lb = cells[lines.cell_a[n]], cells[lines.cell_b[n]], lines.lane_a[n], lines.lane_b[n]
             square = 0.0
             for i in range(3):
@@ -1115,5 +1142,44 @@ def inspect(
                 square += side * side
             dilatation = np.sqrt(square) / lines.rest_length[n]
             if dilatation < min_dilatation or dilatation > max_dilatation:
-                return 2, cell.shape[0] + n
+                return 2, n_elem + k
     return 0, -1
+
+
+@entry
+def run(
+    cells: Cells,
+    passive: npt.NDArray[np.int64],
+    active: npt.NDArray[np.int64],
+    joints: Joints,
+    joint_damping: npt.NDArray[np.float64] | None,
+    lines: Lines | None,
+    hill: Hill | None,
+    loads: float | None,
+    ground: Ground | None,
+    couples: float | None,
+    spin_damping: float | None,
+    symmetric: float | None,
+    ball: Ball | None,
+    contact: Contact | None,
+    account: Account | None,
+    n_steps: int,
+    dt: float,
+    worms: Worms,
+    min_dilatation: float,
+    max_dilatation: float,
+) -> None:
+    """Advance all worms as `advance` does, inspect each and write out where the nodes of the sound ones are."""
+    advance(
+        cells, passive, active, joints, joint_damping, lines, hill, loads, ground, couples, spin_damping, symmetric,
+        ball, contact, account, n_steps, dt,
+    )  # fmt: skip
+    for worm in range(worms.row.shape[0]):
+        code, found = _inspect(cells, worms, worm, min_dilatation, max_dilatation, joints, lines)
+        worms.status[worm], worms.found[worm] = code, found
+        if code == 0:
+            row = worms.row[worm]
+            for n in range(worms.node_cell.shape[1]):
+                here, j = cells[worms.node_cell[worm, n]], worms.node_lane[worm, n]
+                for i in range(3):
+                    worms.position[row, n, i], worms.velocity[row, n, i] = here.x[i, j], here.v[i, j]
