@@ -419,7 +419,8 @@ class RodModel:
     ------
     ValueError
         No rod, an index that no rod, node or element has, a joint of a node with itself, a line between two ends at one
-        place, a negative stiffness, a gravity that is no vector, a medium's density or drag that is negative.
+        place, a negative stiffness, a gravity that is no vector, a medium's density or drag that is negative, friction
+        by direction without a body axis.
     """
 
     rods: tuple[Rod, ...]
@@ -494,11 +495,25 @@ class RodModel:
             object.__setattr__(self, name, _number(name, getattr(self, name), above=False))
         if self.ground is not None and not isinstance(self.ground, Ground):
             raise ValueError(f"ground = {shown(self.ground)}: must be Ground or None")
+        if self.ground is not None and not self.ground.isotropic:
+            self._check_axis()
         if self.contact is not None and not isinstance(self.contact, Contact):
             raise ValueError(f"contact = {shown(self.contact)}: must be Contact or None")
         with np.errstate(all="ignore"):
             _require(bool(np.isfinite(self.node_weight).all()), "gravity, medium_density: far too large for these rods")
             _require(bool(np.isfinite(self.node_damping).all()), "medium_drag: far too large for these rods")
+
+    def _check_axis(self) -> None:
+        """Refuse rods whose ends cancel out: what a body axis is made of."""
+        place = np.concatenate([rod.position for rod in self.rods])
+        tail, head = self.rod_ends
+        with np.errstate(all="ignore"):
+            chord = place[head] - place[tail]
+            length, most = float(np.linalg.norm(chord.sum(axis=0))), float(np.linalg.norm(chord, axis=1).sum())
+        _require(
+            _FRAME_TOLERANCE * most < length < math.inf,
+            "ground: where friction differs by direction, rods that are no muscles must have a mean way from end to end",
+        )
 
     def _check_index(self, name: str, rod: int, index: int, *, extra: int) -> None:
         if whole_number(rod) is None or not 0 <= rod < len(self.rods):
@@ -594,6 +609,15 @@ class RodModel:
     def n_elem(self) -> int:
         """Number of elements of all rods."""
         return int(self.element_offset[-1])
+
+    @cached_property
+    def rod_ends(self) -> tuple[IntArray, IntArray]:
+        """Rows of the first and of the last node of every rod that is no muscle, shape (n,) each.
+
+        The body axis points from the mean of the first to that of the last: in a worm from the base to the top.
+        """
+        rods = np.setdiff1d(np.arange(self.n_rod), self.muscles).astype(np.int64)
+        return self.node_offset[rods], self.node_offset[rods + 1] - 1
 
     def tie_nodes(self, ties: Sequence[Joint | Line]) -> tuple[IntArray, IntArray]:
         """Rows of the first and of the second node of joints or lines, shape (n_tie,) each."""

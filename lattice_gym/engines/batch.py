@@ -31,8 +31,8 @@ class BatchEngine:
     """Worms of one shape of assembly, each of which moves to the last bit as it would in an engine of its own.
 
     What one does, diverging included, no other feels. Fused worms with the same features (see `fused.Features`) share
-    packs, and packs share threads; with a ball, with contact or with a check each has an engine of its own, as it has
-    on the pyelastica engine, which has no use for threads.
+    packs, and packs share threads; with a ball, contact, friction by direction or a check each has an engine of its own,
+    as it has on the pyelastica engine, which has no use for threads.
 
     Parameters
     ----------
@@ -93,6 +93,8 @@ class BatchEngine:
         """Key that the worms of a pack share: their features; the worm itself where it has an engine of its own."""
         model, (engine, splitting, *checks) = self.models[worm], self._options
         alone = engine != "fused" or any(checks) or model.bolus is not None or model.contact is not None
+        # The body axis, which friction by direction turns with, is one a pack.
+        alone = alone or (model.ground is not None and not model.ground.isotropic)
         return worm if alone else features(model, splitting)
 
     def _arrange(self) -> None:

@@ -110,15 +110,6 @@ def _pack_hill(hill: Hill | None) -> kernels.Hill | None:
     )
 
 
-def _pack_ground(ground: Ground | None) -> kernels.Ground | None:
-    """Constants of the ground."""
-    if ground is None:
-        return None
-    along, against, across = ground.forward, ground.backward, ground.sideways
-    friction = ground.static_friction, ground.kinetic_friction
-    return kernels.Ground(ground.stiffness, ground.damping, *friction, along, against, across)
-
-
 def node_decay(model: RodModel, dt: float) -> FloatArray:
     """Rate of damping of every node times the step, shape (n_node,)."""
     rate: FloatArray = model.node_damping / model.node_mass * dt
@@ -209,7 +200,7 @@ class Pack:
             *np.zeros((2, n_worm), np.int64),
         )  # fmt: skip
         self.hill = _pack_hill(model.hill)
-        self.ground = _pack_ground(model.ground)
+        self.ground = self._pack_ground(model)
         for worm, own in enumerate(models):
             self.fill(worm, own)
         self._fill_spare_lanes()
@@ -224,6 +215,17 @@ class Pack:
             (cell[:, rod_a] + node_a).ravel(), lane[:, rod_a].ravel(),
             (cell[:, rod_b] + node_b).ravel(), lane[:, rod_b].ravel(),
         )  # fmt: skip
+
+    def _pack_ground(self, model: RodModel) -> kernels.Ground | None:
+        """Constants of the ground; friction by direction is along the axis of the first worm, which is then alone."""
+        ground, axis = model.ground, None
+        if ground is None:
+            return None
+        if not ground.isotropic:
+            axis = kernels.Axis(*(of[0, rows] for rows in model.rod_ends for of in self.node), np.zeros(3))
+        friction = ground.static_friction, ground.kinetic_friction
+        factors = ground.forward, ground.backward, ground.sideways
+        return kernels.Ground(ground.stiffness, ground.damping, *friction, *factors, axis)
 
     def fill(self, worm: int, model: RodModel) -> None:
         """Write the constants of a model, and its rest state, into the lanes of a worm."""

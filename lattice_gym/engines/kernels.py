@@ -87,19 +87,34 @@ class Hill(NamedTuple):
     rise: float
 
 
+class Axis(NamedTuple):
+    """How the body lies: the unit vector from the mean of some nodes to that of others, `along`, shape (3,), in place.
+
+    Records and lanes of either are given, shape (n,) each.
+    """
+
+    cell_a: npt.NDArray[np.int64]
+    lane_a: npt.NDArray[np.int64]
+    cell_b: npt.NDArray[np.int64]
+    lane_b: npt.NDArray[np.int64]
+    along: npt.NDArray[np.float64]
+
+
 class Ground(NamedTuple):
     """The plane z = 0: spring [N/m] and dashpot [N s/m] of a node, Coulomb's coefficients of friction.
 
-    `along`, `against` and `across` are factors on both coefficients for slip towards +x, towards -x and along y.
+    `forward`, `backward` and `sideways` are factors on both coefficients for slip along the body axis, against it and
+    across. The axis is None where they are alike.
     """
 
     stiffness: float
     damping: float
     static_friction: float
     kinetic_friction: float
-    along: float
-    against: float
-    across: float
+    forward: float
+    backward: float
+    sideways: float
+    axis: Axis | None
 
 
 class Ball(NamedTuple):
@@ -385,6 +400,34 @@ def _move_node(here: Any, drift: float, loads: float | None, ground: Ground | No
 
 
 @compiled
+def _find_axis(cells: Cells, axis: Axis | None) -> None:
+    """Write the body axis as its nodes stand."""
+    if axis is not None:
+        square = 0.0
+        for i in range(3):
+            way = 0.0
+            for n in range(axis.cell_a.shape[0]):
+                way += cells[axis.cell_b[n]].x[i, axis.lane_b[n]] - cells[axis.cell_a[n]].x[i, axis.lane_a[n]]
+            axis.along[i] = way
+            square += way * way
+        axis.along[:] /= np.sqrt(square)
+
+
+@compiled
+def _resisted(u0: float, u1: float, ground: Ground, axis: Axis | None) -> float:
+    """Speed of a slip times the factor that friction has in its direction, see `world.Ground`."""
+    a, b = u0, u1
+    if axis is not None:
+        e = axis.along
+        a = u0 * e[0] + u1 * e[1]
+        # Across, and what a tilted axis leaves of the slip: the root of slip^2 - a^2 without the loss of digits.
+        b = np.sqrt((u1 * e[0] - u0 * e[1]) ** 2 + e[2] * e[2] * (u0 * u0 + u1 * u1))
+    a *= ground.forward if a > 0.0 else ground.backward
+    b *= ground.sideways
+    return float(np.sqrt(a * a + b * b))
+
+
+@compiled
 def _kick_on_ground(here: Any, ground: Ground, account: Account | None) -> None:
     """Kick and damp node n, borne and held back by the ground.
 
@@ -404,9 +447,7 @@ def _kick_on_ground(here: Any, ground: Ground, account: Account | None) -> None:
         u1 = v[1, j] * keep[j] + force[1, j] * push[j]
         u2 = v[2, j] * keep[j] + (force[2, j] + normal) * push[j]
         slip = u0 * u0 + u1 * u1
-        a, b = u0 * (ground.along if u0 > 0.0 else ground.against), u1 * ground.across
-        # The coefficients' common factor, sqrt(a^2 + b^2) over the speed, times the speed.
-        grip = np.sqrt(a * a + b * b) * normal * push[j]
+        grip = _resisted(u0, u1, ground, ground.axis) * normal * push[j]
         left = 1.0 - ground.kinetic_friction * grip / slip if slip > ground.static_friction * grip else 0.0
         if account is not None:
             lost = (1.0 - left) * (u0 * (v[0, j] + left * u0) + u1 * (v[1, j] + left * u1))
@@ -931,6 +972,8 @@ def advance(
             lost = _press(cells, contact, pairs, n_pairs)
             if account is not None:
                 account.total[2] += dt * lost
+        if ground is not None:
+            _find_axis(cells, ground.axis)
         _step_blocks(cells, passive, dt, drift, None, None, couples, spin_damping, symmetric, loads, ground, account)
         _step_blocks(cells, active, dt, drift, 1.0, hill, couples, spin_damping, symmetric, loads, ground, account)
         if account is not None:

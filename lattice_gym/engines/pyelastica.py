@@ -292,23 +292,46 @@ class _GroundForce(NoForces[CosseratRod]):
         system.external_forces[2] += self.footing.normal
 
 
+class _BodyAxis(NoForces[CosseratRod]):
+    """No force: writes the unit vector from the mean first to the mean last node of the given rods, shape (3,)."""
+
+    def __init__(self, rods: list[CosseratRod], axis: FloatArray) -> None:
+        super().__init__()
+        self.rods, self.axis = rods, axis
+
+    def apply_forces(self, system: CosseratRod, time: np.float64 = _START) -> None:
+        chord = np.mean([rod.position_collection[:, -1] - rod.position_collection[:, 0] for rod in self.rods], axis=0)
+        self.axis[:] = chord / np.linalg.norm(chord)
+
+
 class _GroundFriction(DamperBase[CosseratRod]):
     """Coulomb friction: an impulse against the slip that all else left, at most its coefficient times the normal one.
 
     PyElastica damps in the order in which dampers are declared, after all kicks and constraints: this comes last.
-    `push` is what a unit force adds to a node's velocity in a step, shape (n_node,).
+    `push` is what a unit force adds to a node's velocity in a step, shape (n_node,); `axis` is the body's, shape (3,),
+    None where friction is the same in all directions.
     """
 
-    def __init__(self, ground: Ground, push: FloatArray, footing: _Footing, **kwargs: Any) -> None:
+    def __init__(
+        self, ground: Ground, push: FloatArray, footing: _Footing, axis: FloatArray | None, **kwargs: Any
+    ) -> None:
         super().__init__(**kwargs)
-        self.ground, self.push, self.footing = ground, push, footing
+        self.ground, self.push, self.footing, self.axis = ground, push, footing, axis
 
     def dampen_rates(self, system: CosseratRod, time: np.float64 = _START) -> None:
         slip, ground = system.velocity_collection[:2], self.ground
         speed = np.hypot(slip[0], slip[1])
         direction = np.divide(slip, speed, out=np.zeros_like(slip), where=speed > 0.0)
-        along = np.where(direction[0] > 0.0, ground.forward, ground.backward)
-        bound = self.footing.normal * np.hypot(along * direction[0], ground.sideways * direction[1])
+        if self.axis is None:
+            factor = ground.sideways * np.hypot(direction[0], direction[1])
+        else:
+            # The same vector on the body axis, on the horizontal across it, and what is left where the axis is tilted.
+            e = self.axis
+            forth, aside = e[0] * direction[0] + e[1] * direction[1], e[0] * direction[1] - e[1] * direction[0]
+            across = np.hypot(aside, e[2] * np.hypot(direction[0], direction[1]))
+            along = np.where(forth > 0.0, ground.forward, ground.backward)
+            factor = np.hypot(along * forth, ground.sideways * across)
+        bound = self.footing.normal * factor
         sticks = speed <= ground.static_friction * bound * self.push
         kinetic = -ground.kinetic_friction * bound * direction
         self.footing.friction[:] = np.where(sticks, -slip / self.push, kinetic)
@@ -416,12 +439,16 @@ class PyElasticaEngine(Engine):
         )
 
     def _lay_ground(self, simulator: _Assembly, ground: Ground) -> None:
+        axis = None if ground.isotropic else np.zeros(3)
+        if axis is not None:
+            solid = [rod for index, rod in enumerate(self._rods) if index not in self.model.muscles]
+            simulator.add_forcing_to(self._rods[0]).using(_BodyAxis, solid, axis)
         for index, rod in enumerate(self._rods):
             nodes, n_node = self.model.nodes(index), len(rod.mass)
             footing = _Footing(np.zeros(n_node), np.zeros(n_node), np.zeros((2, n_node)))
             kept = np.exp(-self.model.node_damping[nodes] / rod.mass * self.dt)
             simulator.add_forcing_to(rod).using(_GroundForce, ground, self.model.node_radius[nodes], footing)
-            simulator.dampen(rod).using(_GroundFriction, ground, self.dt / rod.mass * kept, footing)
+            simulator.dampen(rod).using(_GroundFriction, ground, self.dt / rod.mass * kept, footing, axis)
             self._footing.append(footing)
 
     def _point_loads(self) -> dict[int, tuple[FloatArray, FloatArray]]:

@@ -86,14 +86,19 @@ def free_fall(n_elem: int) -> Scene:
 SLIP_SPEED, FRICTION, SLIP_STEPS = 1.0, 0.5, 400.5
 """Start of the sliding blocks [m/s], their coefficient, and the steps in which the one that is held most stops."""
 HEADINGS = np.radians([0.0, 180.0, 90.0, 45.0, 210.0])
+"""Of the sliding blocks, from the axis that they have in common."""
+YAW = 0.3
+"""How far they have turned from where they lie at rest [rad]."""
 
 
-def _start(model: RodModel, weight: FloatArray, velocity: FloatArray) -> RodState:
+def _start(model: RodModel, weight: FloatArray, velocity: FloatArray, yaw: float = 0.0) -> RodState:
     """Blocks at the depth of the given normal forces [N], shape (n_node,), at velocities, shape (n_block, 3)."""
-    rest = model.rest_state()
-    position = rest.position.copy()
+    rest, cosine, sine = model.rest_state(), np.cos(yaw), np.sin(yaw)
+    turn = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    position = rest.position @ turn
     position[:, 2] -= np.tile(weight, model.n_rod) / STIFFNESS
-    return replace(rest, position=position, velocity=np.repeat(velocity, len(weight), axis=0))
+    velocity = np.repeat(velocity, len(weight), axis=0)
+    return replace(rest, position=position, directors=rest.directors @ turn, velocity=velocity)
 
 
 def _track(engine: Engine, times: FloatArray, direction: FloatArray) -> FloatArray:
@@ -124,9 +129,10 @@ def _slide(n_elem: int, forward: float, backward: float, sideways: float) -> Sce
         medium_density=MEDIUM,
         ground=ground,
     )
-    heading = np.stack([np.cos(HEADINGS), np.sin(HEADINGS), np.zeros_like(HEADINGS)], axis=1)
-    along = np.where(heading[:, 0] > 0.0, forward, backward) * heading[:, 0]
-    held = FRICTION * np.hypot(along, sideways * heading[:, 1]) * NET_GRAVITY
+    course = 0.5 * np.pi + YAW + HEADINGS
+    heading = np.stack([np.cos(course), np.sin(course), np.zeros_like(course)], axis=1)
+    along = np.where(np.cos(HEADINGS) > 0.0, forward, backward) * np.cos(HEADINGS)
+    held = FRICTION * np.hypot(along, sideways * np.sin(HEADINGS)) * NET_GRAVITY
     slowest = SLIP_SPEED / held.min()
 
     def observe(engine: Engine) -> Reading:
@@ -135,7 +141,7 @@ def _slide(n_elem: int, forward: float, backward: float, sideways: float) -> Sce
         return Reading(times, _track(engine, times, heading), np.repeat(exact, n_elem + 1, axis=1))
 
     dt = SLIP_SPEED / held.max() / SLIP_STEPS
-    return Scene(model, _start(model, _weight(n_elem), SLIP_SPEED * heading), float(dt), observe)
+    return Scene(model, _start(model, _weight(n_elem), SLIP_SPEED * heading, YAW), float(dt), observe)
 
 
 def sliding_block(n_elem: int) -> Scene:
@@ -144,7 +150,7 @@ def sliding_block(n_elem: int) -> Scene:
 
 
 def sliding_block_by_direction(n_elem: int) -> Scene:
-    """Take the same, with other friction forwards, backwards and sideways."""
+    """Take the same, with other friction forwards, backwards and sideways of how they lie."""
     return _slide(n_elem, 0.5, 1.5, 0.8)
 
 
@@ -234,7 +240,7 @@ GROUND_CASES = (
         title="Sliding block, friction by direction",
         quantity="way along the start [m]",
         abscissa="t [s]",
-        exact="v0 t - mu g' t^2 / 2, with mu = mu0 sqrt((f_x e_x)^2 + (f_y e_y)^2)",
+        exact="v0 t - mu g' t^2 / 2, with mu = mu0 sqrt((f e_along)^2 + (f_s e_across)^2)",
         source=COULOMB,
         build=sliding_block_by_direction,
         n_elem=2,
