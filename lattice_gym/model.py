@@ -512,7 +512,7 @@ class RodModel:
             length, most = float(np.linalg.norm(chord.sum(axis=0))), float(np.linalg.norm(chord, axis=1).sum())
         _require(
             _FRAME_TOLERANCE * most < length < math.inf,
-            "ground: where friction differs by direction, rods that are no muscles must have a mean way from end to end",
+            "ground: where friction differs by direction, rods that are no muscles must have a mean way, end to end",
         )
 
     def _check_index(self, name: str, rod: int, index: int, *, extra: int) -> None:

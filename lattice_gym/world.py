@@ -80,10 +80,10 @@ class Ground(Part):
     """The plane z = 0, with normal contact and Coulomb friction; the defaults bear the default worm in water.
 
     It then rests at a depth of at most 5 % of a rod's radius, and the ground shortens the stable step by under 1 %.
-    Forward, backward and sideways are those of the body, as it lies at the moment: see `RodModel.rod_ends` for its axis.
-    With d the direction of a node's slip in the plane, e the unit vector of that axis and n the one across it in the
-    plane, the coefficients have the factor sqrt((f d.e)^2 + sideways^2 (1 - (d.e)^2)), where f is `forward` for d.e > 0
-    and else `backward`. It counts as much as the body lies: standing upright it has no forward, and all is `sideways`.
+    Forward, backward and sideways are those of the body as it lies at the moment, whose axis `RodModel.rod_ends` tells.
+    With d the direction of a node's slip in the plane and e the unit vector of that axis, the coefficients have the
+    factor sqrt((f d.e)^2 + sideways^2 (1 - (d.e)^2)), where f is `forward` for d.e > 0 and else `backward`. So the axis
+    counts as far as it is level: a body that stands upright has no forward, and all of its slip is sideways.
     """
 
     bounds: ClassVar[Bounds] = {
@@ -106,7 +106,7 @@ class Ground(Part):
     forward: float = 1.0
     backward: float = 1.0
     sideways: float = 1.0
-    """Factors on both coefficients for slip towards the body's top, towards its base, and across: alike is isotropic."""
+    """Factors on both coefficients for slip towards the body's top, its base and across: alike they are isotropic."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -222,7 +222,8 @@ class Pack:
         if ground is None:
             return None
         if not ground.isotropic:
-            axis = kernels.Axis(*(of[0, rows] for rows in model.rod_ends for of in self.node), np.zeros(3))
+            (tail, head), (cell, lane) = model.rod_ends, (of[0] for of in self.node)
+            axis = kernels.Axis(cell[tail], lane[tail], cell[head], lane[head], np.zeros(3))
         friction = ground.static_friction, ground.kinetic_friction
         factors = ground.forward, ground.backward, ground.sideways
         return kernels.Ground(ground.stiffness, ground.damping, *friction, *factors, axis)
