@@ -61,7 +61,7 @@ def record(run: Run, policy: PolicyName = "policy", seed: int = EVALUATION_SEED)
         state = worm.state
         recorder.append(worm.time, state.position, worm.activation, step.reward, line, state.bolus_position)
     env.close()
-    return recorder.build()
+    return recorder.build(worm.task.markers(0))
 
 
 def export(

@@ -453,10 +453,11 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         if self._renderer is None:
             from lattice_gym.rendering import Renderer
 
-            self._renderer = Renderer(self.lattice, self.model)
+            self._renderer = Renderer(self.lattice, self.model, n_marker=len(episodes.task.markers(worm)))
         caption = episodes.task.caption(motion.rows(np.array([worm])), worm)
         time, activation = float(episodes.time[worm]), episodes.activation[worm, self.groups]
-        return self._renderer.update(motion.position[worm], activation, time, caption, motion.bolus_position[worm])
+        scene = motion.position[worm], activation, time, caption, motion.bolus_position[worm]
+        return self._renderer.update(*scene, episodes.task.markers(worm))
 
     def close(self) -> None:
         """Free the renderer."""

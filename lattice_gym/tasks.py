@@ -207,6 +207,10 @@ class Task(ABC):
         outcome = self.outcome(motion, np.array([worm]))
         return self._caption({name: float(values[0]) for name, values in outcome.items()}, worm)
 
+    def markers(self, worm: int) -> FloatArray:
+        """Places that are asked of a worm [m], to mark in pictures, shape (n_marker, 3); none in most tasks."""
+        return np.empty((0, 3))
+
     @abstractmethod
     def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
         """Line for an outcome of a worm."""
@@ -617,6 +621,11 @@ class Reach(GoalTask):
         azimuth, radius, rise = (self.commanded[name] for name in ("azimuth", "radius", "rise"))
         target = np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), rise]).T
         return np.ascontiguousarray(target / GOAL_SCALE, dtype=np.float32)
+
+    def markers(self, worm: int) -> FloatArray:
+        """Return the target."""
+        unit = GOAL_SCALE * self.lattice.design.height
+        return np.atleast_2d(self.origin + unit * self.desired()[worm] @ self.axes)
 
     def goal_reward(self, achieved: npt.NDArray[Any], desired: npt.NDArray[Any]) -> FloatArray:
         """Distance of the target from rest less that from the top's centre [heights]."""

@@ -23,13 +23,16 @@ from lattice_gym.muscles import MuscleLayout, resolve_layout
 from lattice_gym.world import World
 
 FORMAT = "lattice_gym trajectory"
-VERSION = 2
+VERSION = 3
+OLD_VERSION = 2
+"""Without markers."""
 ARRAYS = {
     "time": np.float64,
     "position": np.float32,
     "bolus": np.float32,
     "activation": np.float32,
     "reward": np.float64,
+    "markers": np.float32,
 }
 META = ("format", "version", "task", "outcome", "design", "layout", "world")
 
@@ -78,6 +81,9 @@ class Trajectory:
     bolus: npt.NDArray[np.float32] | None = None
     """Places of the ball [m], shape (n_frame, n_bolus, 3), n_bolus 1 in a world that has one and else 0; None: none."""
 
+    markers: npt.NDArray[np.float32] | None = None
+    """Places that the task asked for [m], to mark in every picture, shape (n_marker, 3); None: none."""
+
     def __post_init__(self) -> None:
         """Check everything against everything else."""
         if not isinstance(self.design, LatticeDesign) or not isinstance(self.layout, MuscleLayout):
@@ -93,7 +99,10 @@ class Trajectory:
             "bolus": (n_frame, n_bolus(self.world), 3),
             "activation": (n_frame, n_muscle),
             "reward": (n_frame,),
+            "markers": (0 if self.markers is None else np.size(self.markers) // 3, 3),
         }
+        if self.markers is None:
+            object.__setattr__(self, "markers", np.empty((0, 3)))
         if self.bolus is None:
             object.__setattr__(self, "bolus", np.empty((n_frame, 0, 3)))
         if n_frame == 0:
@@ -193,8 +202,8 @@ class Recorder:
             raise ValueError(f"outcome = {shown(outcome)}: must be text")
         self._frames.append((float(time), x, a, float(reward), outcome, b))
 
-    def build(self) -> Trajectory:
-        """Trajectory of the frames so far; there must be one."""
+    def build(self, markers: npt.ArrayLike | None = None) -> Trajectory:
+        """Trajectory of the frames so far, of which there must be one, with places to mark (n_marker, 3) [m]."""
         if not self._frames:
             raise ValueError("Recorder holds no frame: append at least one before build()")
         time, position, activation, reward, outcome, bolus = zip(*self._frames, strict=True)
@@ -209,6 +218,7 @@ class Recorder:
             task=self._task,
             world=self._world,
             bolus=np.stack(bolus),
+            markers=None if markers is None else np.asarray(markers),
         )
 
 
@@ -249,11 +259,13 @@ def _array(data: bytes) -> npt.NDArray[Any]:
 
 def _unpacked(packed: dict[str, bytes]) -> dict[str, Any]:
     """Arguments of Trajectory from the members of its file."""
-    expected = {f"{name}.npy" for name in ("meta", *ARRAYS)}
+    expected, version = {f"{name}.npy" for name in ("meta", *ARRAYS)}, VERSION
+    if "markers.npy" not in packed:
+        expected, version = expected - {"markers.npy"}, OLD_VERSION
     if set(packed) != expected:
         raise ValueError(f"it holds {', '.join(sorted(packed)) or 'nothing'}; must hold {', '.join(sorted(expected))}")
     members = {name.removesuffix(".npy"): _array(data) for name, data in packed.items()}
-    for name in ARRAYS:
+    for name in ARRAYS.keys() & members.keys():
         if members[name].dtype.kind != "f":
             raise ValueError(f"{name} holds {members[name].dtype}: must hold floating-point numbers")
     text = members.pop("meta")
@@ -262,8 +274,8 @@ def _unpacked(packed: dict[str, bytes]) -> dict[str, Any]:
     meta = json.loads(text.item())
     if not isinstance(meta, dict) or set(meta) != set(META):
         raise ValueError(f"meta must be a mapping of {', '.join(META)}")
-    if meta["format"] != FORMAT or meta["version"] != VERSION:
-        raise ValueError(f"it is {meta['format']!r} version {meta['version']!r}; must be version {VERSION}")
+    if meta["format"] != FORMAT or meta["version"] != version:
+        raise ValueError(f"it is {meta['format']!r} version {meta['version']!r}; must be version {version}")
     if not isinstance(meta["outcome"], list) or not all(isinstance(meta[name], str) for name in ("layout", "world")):
         raise ValueError("meta: outcome must be a list, layout and world JSON text")
     return {

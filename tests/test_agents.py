@@ -470,6 +470,8 @@ def test_new_worlds_are_learned_in(task: Task, tmp_path: Path) -> None:
     assert trajectory.world == TASKS[task].surroundings(build_lattice(trajectory.design))
     assert trajectory.bolus is not None
     assert trajectory.bolus.shape == (trajectory.n_frame, 1 if task == "transport" else 0, 3)
+    assert trajectory.markers is not None
+    assert trajectory.markers.shape == (1 if task == "reach" else 0, 3)
 
 
 def test_judged_outcomes_reach_evaluation_and_log(tmp_path: Path) -> None:

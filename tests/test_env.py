@@ -835,6 +835,20 @@ def test_far_observations_are_clipped_and_counted() -> None:
     assert observation in env.observation_space
 
 
+def test_the_target_is_in_the_picture() -> None:
+    """Where the command of the episode has it."""
+    env, places = LatticeWormEnv("reach", fidelity="fast", render_mode="rgb_array"), []
+    for rise in (0.4, 0.0):
+        env.reset(seed=0, options={"radius": 0.0, "rise": rise})
+        picture = env.render()
+        assert picture is not None
+        red, green, blue = picture.astype(int).transpose(2, 0, 1)
+        rows, _ = np.nonzero((green > red + 60) & (green > blue + 30))
+        places.append(rows.mean())
+    env.close()
+    assert places[1] - places[0] > 50.0
+
+
 def test_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
     """A picture that changes as the worm moves; none without a render mode; close may be called again."""
     env = LatticeWormEnv("extension", render_mode="rgb_array")

@@ -233,6 +233,30 @@ def test_ball_is_where_it_is_said_to_be(lattice: Lattice, model: RodModel) -> No
             render_frame(lattice, wrong, x, size=SIZE, bolus=centre)
 
 
+def green(picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+    """Where a picture shows markers."""
+    red, middle, blue = picture.astype(int).transpose(2, 0, 1)
+    return np.asarray((middle > red + 40) & (middle > blue + 20))
+
+
+def test_markers_are_where_they_are_asked_for(lattice: Lattice, model: RodModel) -> None:
+    """And nothing hides them; none without any, and as many as were announced."""
+    x = rest_of(model)
+    seen = []
+    with Renderer(lattice, model, (320, 240), n_marker=2) as renderer:
+        for height in (0.05, 0.1):
+            picture = renderer.update(x, markers=[[0.0, 0.0, height]] * 2)
+            seen.append(green(picture))
+        with pytest.raises(ValueError, match=r"^markers has shape \(1, 3\): must have \(2, 3\)"):
+            renderer.update(x, markers=[[0.0, 0.0, 0.1]])
+    low, high = (np.argwhere(mask) for mask in seen)
+    assert len(low) == pytest.approx(len(high), rel=0.2)
+    assert low.mean(axis=0)[0] - high.mean(axis=0)[0] > 20.0
+    assert abs(low.mean(axis=0)[1] - high.mean(axis=0)[1]) < 1.0
+    assert not green(render_frame(lattice, model, x, size=SIZE)).any()
+    assert green(render_frame(lattice, model, x, size=SIZE, markers=[[0.0, 0.0, 0.1]])).any()
+
+
 def test_wrong_arguments_are_refused(lattice: Lattice, model: RodModel) -> None:
     """Each names itself."""
     rest = rest_of(model)
@@ -445,6 +469,16 @@ def test_video(trajectory: Trajectory, lattice: Lattice, model: RodModel, tmp_pa
             assert np.abs(pictures[k].astype(float) - expected).mean() < 6.0
             assert np.abs(pictures[k].astype(float) - pictures[3]).mean() > 6.0
     assert [p.name for p in tmp_path.iterdir()] == ["worm.mp4"]
+
+
+@pytest.mark.parametrize("name", ["worm.mp4", "worm.gif"])
+def test_a_film_marks_what_was_asked_for(trajectory: Trajectory, tmp_path: Path, name: str) -> None:
+    """In every picture, wherever it lies: the view takes it in."""
+    far = replace(trajectory, markers=np.array([[0.0, 0.0, 0.25]], np.float32))
+    render_video(far, tmp_path / name, size=SIZE)
+    _, pictures = decode(tmp_path / name)
+    assert len(pictures) == 7
+    assert all(green(picture).sum() > 4 for picture in pictures)
 
 
 def test_slow_motion(trajectory: Trajectory, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from lattice_gym.env import LatticeWormEnv
 from lattice_gym.fidelity import FidelityName
 from lattice_gym.gaits import FULL_DRIVE_AMPLITUDE, gait
 from lattice_gym.lattice import build_lattice
-from lattice_gym.measures import muscle_lengths
+from lattice_gym.measures import muscle_lengths, top_centre
 from lattice_gym.model import Motion, RodState, build_model
 from lattice_gym.muscles import named_layout
 from lattice_gym.tasks import EFFORT_WEIGHT, EIGHT_TARGETS, TASKS, Peristalsis, Task, make_task
@@ -166,6 +166,7 @@ def test_reach(moved: tuple[float, ...], azimuth: float, radius: float, rise: fl
     if abs(near - 0.003) > 1e-6:
         assert (outcome["reached"], outcome["reach_time"]) == ((1.0, 0.35) if near < 0.003 else (0.0, 0.0))
     np.testing.assert_allclose(_observe(task, state, 0.35), np.clip((target - moved) / 0.02, -10.0, 10.0), atol=1e-4)
+    np.testing.assert_allclose(task.markers(0), target[None] + [[0.0, 0.0, 0.1]], atol=1e-7)
 
 
 def test_reach_lies_down() -> None:
@@ -176,6 +177,7 @@ def test_reach_lies_down() -> None:
     state = model.rest_state()
     state.position[:] += [-0.01, 0.0, -0.02]  # along the axis, which is x now, and along what was x, which is down
     assert _terms(task, state, CALM, 0.0)["approach"] == pytest.approx(np.hypot(0.2, 0.1), abs=1e-6)
+    np.testing.assert_allclose(task.markers(0), [top_centre(lattice, state.position)], atol=1e-8)
 
 
 def _crawl(**command: float) -> Task:

@@ -43,7 +43,7 @@ def example(n_frame: int = 3, **changes: Any) -> Trajectory:
 
 def assert_same(a: Trajectory, b: Trajectory) -> None:
     """Fail unless two trajectories are equal to the last bit."""
-    for name in ("time", "position", "bolus", "activation", "reward"):
+    for name in ("time", "position", "bolus", "activation", "reward", "markers"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), strict=True)
     assert (a.outcome, a.design, a.layout, a.task, a.world) == (b.outcome, b.design, b.layout, b.task, b.world)
 
@@ -111,7 +111,7 @@ def test_file_reads_without_pickle_or_this_package(saved: tuple[Path, Trajectory
     """Plain numpy opens it."""
     with np.load(saved[0], allow_pickle=False) as members:
         assert members["position"].shape == (3, N_NODE, 3)
-        assert json.loads(members["meta"].item())["version"] == 2
+        assert json.loads(members["meta"].item())["version"] == 3
 
 
 @pytest.mark.parametrize(
@@ -133,6 +133,9 @@ def test_file_reads_without_pickle_or_this_package(saved: tuple[Path, Trajectory
         ("task", None, "must be text"),
         ("world", {}, "must be a World"),
         ("bolus", np.zeros((3, 1, 3)), "has shape"),
+        ("markers", np.zeros(3), "has shape"),
+        ("markers", np.full((1, 3), np.nan), "finite"),
+        ("markers", "there", "array of real numbers"),
     ],
 )
 def test_wrong_values_are_refused(name: str, value: Any, words: str) -> None:
@@ -199,6 +202,23 @@ def test_a_ball_is_kept(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.bolus[:, 0, 2], [0.0, 0.5])
     with pytest.raises(ValueError, match=r"^Trajectory.world = 'sea'"):
         Recorder(DESIGN, LAYOUT, "transport", "sea")  # type: ignore[arg-type]
+
+
+def test_markers_are_kept_and_older_files_have_none(saved: tuple[Path, Trajectory], tmp_path: Path) -> None:
+    """Through the file; one of version 2 has none, and no other version may lack them."""
+    recorder = Recorder(DESIGN, LAYOUT, "reach")
+    recorder.append(0.0, np.zeros((N_NODE, 3)), np.zeros(len(LAYOUT)))
+    trajectory = recorder.build([[0.1, 0.0, 0.5]])
+    trajectory.save(tmp_path / "marked.npz")
+    again = Trajectory.load(tmp_path / "marked.npz")
+    assert_same(again, trajectory)
+    np.testing.assert_array_equal(again.markers, np.array([[0.1, 0.0, 0.5]], np.float32))
+    old = tmp_path / "old.npz"
+    rewrite(saved[0], old, markers=None, meta=edited(saved[0], version=2))
+    assert_same(Trajectory.load(old), saved[1])
+    rewrite(saved[0], old, markers=None)
+    with pytest.raises(ValueError, match=r"old\.npz.*version 3; must be version 2"):
+        Trajectory.load(old)
 
 
 def test_recorder_refuses_a_frame_of_another_shape_or_not_finite() -> None:

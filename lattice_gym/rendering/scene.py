@@ -28,8 +28,10 @@ RGB = npt.NDArray[np.uint8]
 ROD_SCALE, MUSCLE_SCALE, SITE_SCALE = 0.42, 0.56, 0.56
 # Pieces that each is drawn in at least, and the share of its radius that a muscle loses towards its ends.
 ROD_PIECES, MUSCLE_PIECES, TAPER = 32, 8, 0.45
-# Corners around a bolus.
+# Corners around a bolus, or a marker.
 BOLUS_CORNERS = 48
+# Radius of a marker, in diameters of the worm, and how far it comes forward, in units of depth: before all else.
+MARKER_RADIUS, MARKER_FORWARD = 0.06, -1e6
 # Elements that a muscle without nodes is drawn with.
 LINE_ELEMENTS = 2
 # What lies furthest back is paled by this share, as by haze.
@@ -131,6 +133,8 @@ class Renderer:
     view
         Points that every picture shows [m], shape (n, 3); by default the worm at rest and 60 % taller, or, if it
         lies, up to its height further along x either way.
+    n_marker
+        Number of places that each picture marks with a small ball, which nothing hides.
     bare
         The worm fills the picture, with neither colour bar nor text.
     fine
@@ -144,6 +148,7 @@ class Renderer:
         size: tuple[int, int] = (640, 480),
         *,
         view: npt.ArrayLike | None = None,
+        n_marker: int = 0,
         bare: bool = False,
         fine: bool = False,
     ) -> None:
@@ -167,10 +172,15 @@ class Renderer:
         self._muscles = Tubes(model, model.muscles, MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if muscles else None
         self._lines = Tubes(lines, range(lines.n_rod), MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if lines else None
         self._bolus = Balls(1, model.bolus.radius, BOLUS_CORNERS) if model.bolus else None
+        self._markers = Balls(n_marker, MARKER_RADIUS * lattice.design.diameter, BOLUS_CORNERS) if n_marker else None
+        self._n_marker = n_marker
         self._site_nodes = lattice.site_nodes
         for part in self._parts():
             actor = self._plotter.add_mesh(part.mesh, scalars="colour", rgb=True, smooth_shading=False, **MATERIAL)
             actor.prop.interpolation = "Phong"
+            if part is self._markers:
+                actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
+                actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, MARKER_FORWARD)
         self._bare, self._colour_bar = bare, model.n_muscle > 0 and not bare
         if self._colour_bar:
             self._write("activation", 0.5 * (BAR[0] + BAR[1]), BAR[3] + 0.03, 0.03, ("center", "bottom"))
@@ -194,12 +204,13 @@ class Renderer:
         time: float | None = None,
         text: str = "",
         bolus: npt.ArrayLike | None = None,
+        markers: npt.ArrayLike = (),
     ) -> RGB:
         """Picture, shape (height, width, 3).
 
         Takes node positions (n_node, 3) [m], activations (n_muscle,) from 0 (the default) to 1, a time [s], a line of
-        text to print and the place of the ball (n_bolus, 3) [m], by default where it starts. Wrong shapes and numbers
-        that are not finite are a ValueError.
+        text to print, the place of the ball (n_bolus, 3) [m], by default where it starts, and places to mark
+        (n_marker, 3) [m]. Wrong shapes and numbers that are not finite are a ValueError.
         """
         x = checked("position", position, (self._model.n_node, 3))
         n_muscle = self._model.n_muscle
@@ -208,6 +219,7 @@ class Renderer:
             raise ValueError(f"activation spans {a.min():g} to {a.max():g}: must lie in [0, 1]")
         centre = self._model.rest_state().bolus_position if bolus is None else bolus
         centre = checked("bolus", centre, (self._model.n_bolus, 3))
+        marked = checked("markers", np.reshape(markers, (-1, 3)), (self._n_marker, 3))
         self._rods.update(x)
         self._paint(self._rods.mesh, rgb(colours.ROD))
         self._balls.update(x[self._site_nodes].mean(axis=1))
@@ -221,6 +233,9 @@ class Renderer:
         if self._bolus:
             self._bolus.update(centre)
             self._paint(self._bolus.mesh, rgb(colours.BOLUS))
+        if self._markers:
+            self._markers.update(marked)
+            self._paint(self._markers.mesh, rgb(colours.MARKER), haze=0.0)
         if not self._bare:
             self._time.input = "" if time is None else f"t = {time:.2f} s"
             # A letter is about half as wide as it is high.
@@ -240,7 +255,8 @@ class Renderer:
         self.close()
 
     def _parts(self) -> list[Tubes | Balls]:
-        return [part for part in (self._rods, self._balls, self._muscles, self._lines, self._bolus) if part]
+        parts = self._rods, self._balls, self._muscles, self._lines, self._bolus, self._markers
+        return [part for part in parts if part]
 
     def _write(self, text: str, x: float, y: float, size: float, justified: tuple[str, str]) -> Any:
         """Text at a place and of a size in shares of the picture; it may be changed later."""
@@ -290,13 +306,13 @@ class Renderer:
         self._plotter.reset_camera_clipping_range()
         self._depth = low[2], high[2]
 
-    def _paint(self, mesh: Any, colour: FloatArray) -> None:
+    def _paint(self, mesh: Any, colour: FloatArray, haze: float = HAZE) -> None:
         """Colour the equal parts of a mesh, one each (n, 3) or one for all (3,), 0 to 255, paler towards the back."""
         depth = np.asarray(mesh.points) @ self._back
-        haze = HAZE * np.clip((self._depth[1] - depth) / (self._depth[1] - self._depth[0]), 0.0, 1.0)
+        pale = haze * np.clip((self._depth[1] - depth) / (self._depth[1] - self._depth[0]), 0.0, 1.0)
         parts = np.atleast_2d(colour)
         shown = np.repeat(parts, len(depth) // len(parts), axis=0)
-        shown += haze[:, None] * (rgb(colours.HAZE) - shown)
+        shown += pale[:, None] * (rgb(colours.HAZE) - shown)
         overwrite(mesh.point_data["colour"], shown)
 
     def _picture(self) -> RGB:
@@ -334,7 +350,8 @@ def render_frame(
     text: str = "",
     size: tuple[int, int] = (640, 480),
     bolus: npt.ArrayLike | None = None,
+    markers: npt.ArrayLike = (),
 ) -> RGB:
     """One picture, as Renderer.update makes it, shape (height, width, 3); for many keep a Renderer."""
-    with Renderer(lattice, model, size) as renderer:
-        return renderer.update(position, activation, time, text, bolus)
+    with Renderer(lattice, model, size, n_marker=len(np.asarray(markers))) as renderer:
+        return renderer.update(position, activation, time, text, bolus, markers)

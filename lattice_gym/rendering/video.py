@@ -51,10 +51,12 @@ def render_video(
     shown, rate = _schedule(trajectory.time, fps, speed, FASTEST_GIF if animated else FASTEST)
     lattice = build_lattice(trajectory.design)
     model, bolus = build_model(lattice, trajectory.layout, trajectory.world), trajectory.bolus
+    marked = np.empty((0, 3)) if trajectory.markers is None else trajectory.markers
+    view = np.concatenate([trajectory.position.reshape(-1, 3), marked])
     note = "" if speed == 1.0 else f"   [{speed:g} x real time]"
     sink = _gif if animated else _mp4
     with (
-        Renderer(lattice, model, size, view=trajectory.position.reshape(-1, 3)) as renderer,
+        Renderer(lattice, model, size, view=view, n_marker=len(marked)) as renderer,
         replacing(path) as temporary,
         sink(temporary, size, rate) as write,
     ):
@@ -68,6 +70,7 @@ def render_video(
                     trajectory.time[frame],
                     text,
                     None if bolus is None else bolus[frame],
+                    marked,
                 )
                 last = frame
             write(picture)
@@ -110,12 +113,16 @@ def _mp4(path: Path, size: tuple[int, int], rate: float) -> Iterator[Callable[[P
 
 @contextmanager
 def _gif(path: Path, size: tuple[int, int], rate: float) -> Iterator[Callable[[Picture], object]]:
-    """Hold the pictures until the last: all share one palette, which keeps colours still and the file small."""
+    """Hold the pictures until the last: all share one palette, which keeps colours still and the file small.
+
+    An octree leaves a colour of few pixels, as a marker's, what it is; the median cut mixes it with others.
+    """
     image = extra("PIL.Image")
     pictures: list[Picture] = []
     yield pictures.append
     frames = [image.fromarray(picture) for picture in pictures]
-    palette = image.fromarray(np.concatenate(pictures[:: max(1, len(pictures) // 4)])).quantize(96)
+    some = image.fromarray(np.concatenate(pictures[:: max(1, len(pictures) // 4)]))
+    palette = some.quantize(96, image.Quantize.FASTOCTREE)
     few = [frame.quantize(palette=palette, dither=0) for frame in frames]
     few[0].save(path, format="GIF", save_all=True, append_images=few[1:], duration=_durations(len(few), rate), loop=0)
 
