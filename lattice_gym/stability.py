@@ -369,19 +369,27 @@ class _Linear:
 
 
 def _largest_eigenvalue(apply: Callable[[FloatArray], FloatArray], size: int) -> float:
-    """Largest eigenvalue of a symmetric operator on vectors of the given size, by Lanczos' iteration."""
+    """Largest eigenvalue of a symmetric operator on vectors of the given size, by Lanczos' iteration.
+
+    Products of vectors are not left to the linear algebra library: it shares them among threads, which wait for each
+    other for milliseconds where other processes run, as they do in training.
+    """
     now = np.random.default_rng(0).standard_normal(size)
-    now /= np.linalg.norm(now)
+    now /= math.sqrt(_product(now, now))
     before, link = np.zeros(size), 0.0
     diagonal, links = [], []
     for _ in range(min(N_LANCZOS, size)):
         new = apply(now) - link * before
-        diagonal.append(float(new @ now))
+        diagonal.append(_product(new, now))
         new -= diagonal[-1] * now
-        link = float(np.linalg.norm(new))
+        link = math.sqrt(_product(new, new))
         links.append(link)
         if link <= 1e-12 * max(map(abs, diagonal)):
             break
         before, now = now, new / link
     off = np.diag(links[:-1], 1)
     return float(np.linalg.eigvalsh(np.diag(diagonal) + off + off.T)[-1])
+
+
+def _product(a: FloatArray, b: FloatArray) -> float:
+    return float(np.einsum("i,i->", a, b))
