@@ -443,7 +443,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return observation, sum(terms.values()), bool(over[0]), False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """Picture of the worm now, shape (480, 640, 3); None without a render mode."""
+        """Picture of the worm now and of the place it is to reach, shape (480, 640, 3); None without a render mode."""
         if self.render_mode is None:
             return None
         return self.picture(self._episode, Motion.of(self._state), 0)

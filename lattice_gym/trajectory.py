@@ -265,7 +265,7 @@ def _unpacked(packed: dict[str, bytes]) -> dict[str, Any]:
     if set(packed) != expected:
         raise ValueError(f"it holds {', '.join(sorted(packed)) or 'nothing'}; must hold {', '.join(sorted(expected))}")
     members = {name.removesuffix(".npy"): _array(data) for name, data in packed.items()}
-    for name in ARRAYS.keys() & members.keys():
+    for name in (name for name in ARRAYS if name in members):
         if members[name].dtype.kind != "f":
             raise ValueError(f"{name} holds {members[name].dtype}: must hold floating-point numbers")
     text = members.pop("meta")

@@ -204,7 +204,7 @@ class Renderer:
         time: float | None = None,
         text: str = "",
         bolus: npt.ArrayLike | None = None,
-        markers: npt.ArrayLike = (),
+        markers: npt.ArrayLike | None = None,
     ) -> RGB:
         """Picture, shape (height, width, 3).
 
@@ -219,7 +219,7 @@ class Renderer:
             raise ValueError(f"activation spans {a.min():g} to {a.max():g}: must lie in [0, 1]")
         centre = self._model.rest_state().bolus_position if bolus is None else bolus
         centre = checked("bolus", centre, (self._model.n_bolus, 3))
-        marked = checked("markers", np.reshape(markers, (-1, 3)), (self._n_marker, 3))
+        marked = checked("markers", np.empty((0, 3)) if markers is None else markers, (self._n_marker, 3))
         self._rods.update(x)
         self._paint(self._rods.mesh, rgb(colours.ROD))
         self._balls.update(x[self._site_nodes].mean(axis=1))
@@ -350,8 +350,8 @@ def render_frame(
     text: str = "",
     size: tuple[int, int] = (640, 480),
     bolus: npt.ArrayLike | None = None,
-    markers: npt.ArrayLike = (),
+    markers: npt.ArrayLike | None = None,
 ) -> RGB:
     """One picture, as Renderer.update makes it, shape (height, width, 3); for many keep a Renderer."""
-    with Renderer(lattice, model, size, n_marker=len(np.asarray(markers))) as renderer:
+    with Renderer(lattice, model, size, n_marker=0 if markers is None else len(np.asarray(markers))) as renderer:
         return renderer.update(position, activation, time, text, bolus, markers)
