@@ -623,7 +623,7 @@ def clipped_command(action: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[Floa
         raise ValueError(f"action: shape must be {shape}, got {given.shape}")
     if np.isnan(given).any():
         raise ValueError(f"action: must not be NaN, got NaN in {np.argwhere(np.isnan(given)).tolist()}")
-    command = np.clip(given.astype(np.float64), 0.0, 1.0)
+    command = np.minimum(np.maximum(given.astype(np.float64), 0.0), 1.0)
     return command, (command != given).sum(axis=-1)
 
 

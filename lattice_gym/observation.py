@@ -61,10 +61,11 @@ class Observer:
     ) -> None:
         self._task, self._rhythm, self._goals = task, rhythm, task if goals and isinstance(task, GoalTask) else None
         self._nodes = _observed_nodes(model, task.lattice, points).T
-        self._rest = self._mean(task.rest.position)
+        self._rest = self._sum(task.rest.position)
         self._strength = adaptation is not None and adaptation.observed
         height = task.lattice.design.height
-        self._scale = np.array([POSITION_SCALE * height, VELOCITY_SCALE * height])[:, None]
+        # Of sums over the nodes of a point, which are one or two, so that nothing is rounded by it.
+        self._scale = len(self._nodes) * height * np.array([POSITION_SCALE, VELOCITY_SCALE])[:, None, None]
         strongest = adaptation.most if adaptation is not None and adaptation.observed else 0.0
         self.space = self._space(n_action, model.n_muscle if self._strength else 0, strongest)
 
@@ -102,26 +103,23 @@ class Observer:
 
     def _moving(self, motion: Motion) -> tuple[FloatArray, IntArray]:
         """Scaled displacements and velocities, shape (n_worm, 6 n_point), and how many of each worm were clipped."""
-        n_worm = len(motion.position)
-        moving = np.empty((n_worm, 2, self._rest.size))
-        displacement = self._mean(motion.position) - self._rest
+        moving = np.empty((len(motion.position), 2, *self._rest.shape))
+        displacement = np.subtract(self._sum(motion.position), self._rest, out=moving[:, 0])
         if self._task.travels:
             displacement[..., :2] -= displacement[..., :2].mean(axis=-2, keepdims=True)
-        moving[:, 0] = displacement.reshape(n_worm, -1)
-        moving[:, 1] = self._mean(motion.velocity).reshape(n_worm, -1)
+        moving[:, 1] = self._sum(motion.velocity)
         moving /= self._scale
-        free = moving.reshape(n_worm, -1)
-        bounded = np.clip(free, -OBSERVATION_BOUND, OBSERVATION_BOUND)
+        free = moving.reshape(len(moving), -1)
+        bounded = np.minimum(np.maximum(free, -OBSERVATION_BOUND), OBSERVATION_BOUND)
         return bounded, (bounded != free).sum(axis=-1)
 
-    def _mean(self, values: FloatArray) -> FloatArray:
-        """Values at the observed points, shape (..., n_point, 3), of those at nodes."""
-        first: FloatArray
-        first, *others = (values.take(rows, axis=-2) for rows in self._nodes)
+    def _sum(self, values: FloatArray) -> FloatArray:
+        """Sum of the values at the nodes of each observed point, shape (..., n_point, 3)."""
+        first, *others = self._nodes
+        total: FloatArray = values.take(first, axis=-2)
         for other in others:
-            first += other
-        first /= len(self._nodes)
-        return first
+            total += values.take(other, axis=-2)
+        return total
 
     def _space(self, n_action: int, n_strength: int, strongest: float) -> spaces.Space[Any]:
         n_moving = 2 * self._rest.size

@@ -127,7 +127,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         if self._seen is None and not mask.all():
             raise gymnasium.error.ResetNeeded("reset() must be called without a reset_mask first")
         infos: dict[str, Any] = {}
-        for worm in np.flatnonzero(mask).tolist():
+        for worm in _worms(mask):
             if seeds[worm] is not None:
                 self._random[worm] = seeding.np_random(seeds[worm])
             infos = self._add_info(infos, self._begin(worm, given[worm]), worm)
@@ -142,7 +142,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
             raise gymnasium.error.ResetNeeded("reset() must be called first")
         command, n_clipped = clipped_command(actions, (self.num_envs, *self._one.action_space.shape))
         if self._mode is AutoresetMode.DISABLED and self._ended.any():
-            worms = np.flatnonzero(self._ended).tolist()
+            worms = _worms(self._ended)
             raise gymnasium.error.ResetNeeded(f"worms {worms} have ended and must be reset first")
         live = ~self._ended
         sound = live & self._advance(command)
@@ -152,8 +152,8 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         terminated, n_step = over & live, episodes.n_step + self._failed
         truncated: Mask = live & (n_step >= self._limit) if self._limit else np.zeros_like(live)
         ended = terminated | truncated
-        outcome = self._outcome_of(np.flatnonzero(ended))
-        resets = {worm: self._begin(worm, None) for worm in np.flatnonzero(~live).tolist()}
+        outcome = self._outcome_of(ended.nonzero()[0])
+        resets = {worm: self._begin(worm, None) for worm in _worms(~live)}
         seen, n_beyond = episodes.observe(self._motion)
         # Not before the last sound moment was observed.
         episodes.n_step += self._failed
@@ -162,7 +162,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         if self._mode is AutoresetMode.SAME_STEP and ended.any():
             infos = _masked(told, live & ~ended) | self._final(seen, ended)
             infos["final_info"] = _masked(told, ended) | _masked({"outcome": outcome}, ended)
-            resets = {worm: self._begin(worm, None) for worm in np.flatnonzero(ended).tolist()}
+            resets = {worm: self._begin(worm, None) for worm in _worms(ended)}
             seen, _ = episodes.observe(self._motion)
         else:
             infos = _masked(told, live) | _masked({"outcome": outcome}, ended)
@@ -196,7 +196,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         """Advance all worms but those that are to be reset, and tell which of them are sound."""
         if self._ended.all():
             return ~self._ended
-        for worm in np.flatnonzero(self._ended & self._failed).tolist():
+        for worm in _worms(self._ended & self._failed):
             self._engine.restore(worm, self._start)
         tension = self._episodes.tension(command)
         tension[:, self._ended] = 0.0
@@ -220,7 +220,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
     def _status(self) -> npt.NDArray[np.object_]:
         """How the step went for every worm."""
         status = np.full(self.num_envs, OK, dtype=object)
-        for worm in np.flatnonzero(self._failed).tolist():
+        for worm in _worms(self._failed):
             status[worm] = str(self._engine.health(worm))
         return status
 
@@ -237,7 +237,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
     def _final(self, seen: Observation, ended: Mask) -> dict[str, Any]:
         """Last observations of episodes that have ended."""
         final = np.full(self.num_envs, None, dtype=object)
-        for worm in np.flatnonzero(ended).tolist():
+        for worm in _worms(ended):
             final[worm] = {name: part[worm] for name, part in seen.items()} if isinstance(seen, dict) else seen[worm]
         return {"final_obs": final, "_final_obs": ended.copy(), "_final_info": ended.copy()}
 
@@ -295,13 +295,18 @@ def _count(name: str, value: object) -> int:
     return count
 
 
+def _worms(mask: Mask) -> list[int]:
+    """Return the indices of some worms."""
+    return [int(worm) for worm in mask.nonzero()[0]]
+
+
 def _masked(values: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
     """Infos of some worms as gymnasium has them: arrays with a mask each; nothing where there are none."""
     if not rows.any():
         return {}
     whole, infos = bool(rows.all()), dict[str, Any]()
     for name, value in values.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, dict):
             infos[name] = _masked(value, rows)
         elif whole:
             infos[name] = value
