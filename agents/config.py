@@ -30,6 +30,7 @@ _WHOLE = {
     "batch_size": "[2, inf)",
     "n_epochs": "[1, inf)",
     "checkpoint_every": "[1, inf)",
+    "num_threads": "[1, 256]",
     "torch_threads": "[1, 256]",
 }
 _REAL = {
@@ -48,7 +49,7 @@ _REAL = {
 _WIDTH = "[1, 65536]"
 _SWITCHES = ("anneal", "gsde")
 _SIDEWAYS = ("bending", "reach")  # tasks that muscles alike all around cannot do
-_OPTIONAL = ("control", "rhythm", "time_limit")
+_OPTIONAL = ("control", "rhythm", "time_limit", "num_threads")
 _PLACES = ("design", "muscles", "run_dir", "resume")  # files of this machine, kept out of config.json
 
 
@@ -98,7 +99,9 @@ class TrainConfig:
     """How finely the worm is computed: fast is three times cheaper, to be scored on default or fine."""
 
     n_envs: int = 8
-    """Worms simulated side by side, one process each; 1 runs it in this process."""
+    """Worms simulated side by side, in this process."""
+    num_threads: int | None = None
+    """Threads that the worms share; one a core by default. They change nothing but the time it takes."""
     n_steps: int = 128
     """Steps of each worm between two updates [control steps]."""
     batch_size: int = 256
@@ -133,11 +136,11 @@ class TrainConfig:
     time_limit: float | None = None
     """Stop training, with a checkpoint, after this much wall time [s]; none by default."""
     torch_threads: int = 1
-    """Threads of the learner; the worms have processes of their own."""
+    """Threads of the learner, which works while the worms wait."""
     run_dir: Path | None = None
     """Run folder; runs/<task>-<seed>-<time> if not given."""
     resume: Path | None = None
-    """Run folder to continue, with its own settings; only total-steps and time-limit may be given beside it."""
+    """Run folder to continue, with its own settings; total-steps, time-limit and num-threads may be given beside it."""
 
     def __post_init__(self) -> None:
         """Check every field."""

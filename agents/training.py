@@ -28,7 +28,7 @@ from agents.run_folder import Run, read_file
 from lattice_gym.trajectory import replacing
 
 _DIVERGED = "worm/diverged_episodes"
-_MAY_CHANGE = ("total_steps", "time_limit", "design", "muscles", "run_dir", "resume")
+_MAY_CHANGE = ("total_steps", "time_limit", "num_threads", "design", "muscles", "run_dir", "resume")
 
 
 def train(config: TrainConfig) -> Path:
@@ -60,8 +60,8 @@ def train(config: TrainConfig) -> Path:
 
 def _learned(run: Run, config: TrainConfig, began: float) -> TrainingLog:
     """Log of the run after training; its last checkpoint is written."""
-    print(f"starting {config.n_envs} worker{'s' if config.n_envs > 1 else ''}", flush=True)
-    venv = make_vector_env(run.env_arguments, config.n_envs)
+    print(f"starting {config.n_envs} worm{'s' if config.n_envs > 1 else ''}", flush=True)
+    venv = make_vector_env(run.env_arguments, config.n_envs, config.num_threads)
     try:
         model = restored_model(run, venv) if run.steps else new_model(config, venv)
         run_folder.write_json(run.path / run_folder.CONFIG, config.to_dict())
@@ -95,7 +95,7 @@ def create_run(config: TrainConfig) -> Run:
 
 
 def resume_settings(path: Path) -> TrainConfig:
-    """Read the settings with which `train` continues a run folder; total_steps and time_limit may be replaced."""
+    """Read the settings with which `train` continues a run folder; some of them may be replaced."""
     return replace(Run.open(path).config, resume=path)
 
 

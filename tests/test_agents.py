@@ -27,7 +27,7 @@ from agents import run_folder
 from agents.benchmark import BenchmarkConfig, benchmark
 from agents.command_line import as_program
 from agents.config import InputError, Task, TrainConfig
-from agents.environments import make_env, make_vector_env, outcome_errors
+from agents.environments import make_env, make_vector_env
 from agents.evaluation import (
     EVALUATION_SEED,
     POLICIES,
@@ -40,6 +40,7 @@ from agents.evaluation import (
     random_actions,
     score,
 )
+from agents.outcomes import outcome_errors
 from agents.rollouts import Artefacts, evaluated, export, record
 from agents.run_folder import Run
 from agents.training import TrainingLog, new_model, resume_settings, step_size, train, worm_seeds
@@ -289,22 +290,6 @@ def test_nan_never_reaches_the_learner(finished: Path, monkeypatch: pytest.Monke
     with pytest.raises(ValueError, match="nan"):
         venv.step(np.zeros((1, 8), dtype=np.float32))
     venv.close()
-
-
-def test_worms_leave_signals_to_the_learner_and_end_with_it(finished: Path) -> None:
-    """Neither a signal nor the death of one worm stops the others, closing does."""
-    venv = make_vector_env(Run.open(finished).env_arguments, 3)
-    worms: Any = venv.unwrapped
-    first, second, _ = worms.processes
-    venv.reset()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        os.kill(first.pid, number)
-        venv.step(np.zeros((3, 8), dtype=np.float32))
-    second.kill()
-    with pytest.raises((EOFError, ConnectionError)):
-        venv.step(np.zeros((3, 8), dtype=np.float32))
-    venv.close()
-    assert not any(process.is_alive() for process in worms.processes)
 
 
 def test_time_limit_stops_with_a_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -68,6 +68,7 @@ def test_within_agrees_with_comparisons(value: float, low: float, high: float) -
         ("checkpoint_every", 0),
         ("time_limit", 0.0),
         ("torch_threads", 0),
+        ("num_threads", 0),
         ("anneal", 1),
         ("gsde", None),
         ("design", "worm.json"),
@@ -147,11 +148,11 @@ def test_killed_run_resumes_and_a_signal_saves(tmp_path: Path, number: signal.Si
     steps = Run.open(path).steps
     second = _start(["--resume", str(path)])
     _wait_for(lambda: Run.open(path).steps > steps, second)
-    os.killpg(second.pid, number)  # as a terminal or a batch system does: to the learner and to every worm
-    os.kill(second.pid, number)  # and as make and timeout do: to the learner once more
+    os.killpg(second.pid, number)  # as a terminal or a batch system does: to the group
+    os.kill(second.pid, number)  # and as make and timeout do: to the program once more
     out, err = second.communicate(timeout=30)
     assert second.returncode == 128 + number, err
-    assert f"{path}: {steps} of 1000000 steps done\nstarting 2 workers" in out
+    assert f"{path}: {steps} of 1000000 steps done\nstarting 2 worms" in out
     assert err == f"stopped by {number.name}; continue with: python train.py --resume {path}\n"
     assert [session["from_step"] for session in json.loads((path / "versions.json").read_text())] == [0, steps]
     assert not list(path.rglob("unfinished-*"))
@@ -159,7 +160,7 @@ def test_killed_run_resumes_and_a_signal_saves(tmp_path: Path, number: signal.Si
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_while_the_worms_start(tmp_path: Path, number: signal.Signals) -> None:
-    """No process of the group prints a traceback, whatever it was doing."""
+    """No traceback, whatever it was doing."""
     path = tmp_path / "run"
     process = _start(["--task", "extension", "--n-envs", "2", "--run-dir", str(path)])
     _wait_for(path.exists, process)

@@ -1,0 +1,156 @@
+"""Worms of one Gymnasium vector environment, as Stable-Baselines3 takes them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.wrappers.utils import rescale_box
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+
+from agents.outcomes import outcome_errors
+
+
+class WormVecEnv(VecEnv):
+    """Stable-Baselines3's VecEnv of n worms that step together: actions in [-1, 1], episodes summed up and judged.
+
+    It gives what DummyVecEnv gives of n single worms from `make_env`, each in a Monitor, to the last bit, except that
+    the info of a worm in mid-episode is empty. Only where goals are observed does it hold `reward_terms`, by which
+    `compute_reward` pays: hindsight replay needs `copy_info_dict=True`, as for a single worm.
+
+    Attributes of worms are those of the bare environments, below any wrapper.
+
+    Parameters
+    ----------
+    envs
+        Vector environment of lattice worms, with `AutoresetMode.SAME_STEP`.
+
+    Raises
+    ------
+    ValueError
+        Something else than that; actions of another shape than (n, n_action); options that are neither a dict
+        for all worms nor a list of n dicts.
+    """
+
+    def __init__(self, envs: VectorEnv[Any, Any, Any]) -> None:
+        if not isinstance(envs, VectorEnv):
+            raise ValueError(f"envs = {envs!r}: must be a gymnasium.vector.VectorEnv")
+        if (mode := envs.metadata.get("autoreset_mode")) is not AutoresetMode.SAME_STEP:
+            raise ValueError(f"envs: autoreset_mode must be AutoresetMode.SAME_STEP, got {mode}")
+        if not isinstance(envs.single_action_space, spaces.Box):
+            raise ValueError(f"envs: single_action_space must be a Box, got {envs.single_action_space}")
+        self.envs: Any = envs
+        actions, _, self._commands = rescale_box(envs.single_action_space, np.float32(-1.0), np.float32(1.0))
+        super().__init__(envs.num_envs, envs.single_observation_space, actions)
+        self._task: str = self.get_attr("task")[0].name
+        self._has_goals = isinstance(envs.single_observation_space, spaces.Dict)
+        self._returns = np.zeros(self.num_envs)
+        self._lengths = np.zeros(self.num_envs, dtype=np.int64)
+        self._began = time.time()
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Give the next reset options: the same for all worms, or one dict for each."""
+        if isinstance(options, list) and len(options) != self.num_envs:
+            raise ValueError(f"options: must be one dict, or a list of one for each of {self.num_envs} worms")
+        super().set_options(options)
+
+    def reset(self) -> VecEnvObs:
+        """Start an episode of every worm, with the seeds and options given for it since the last one."""
+        seeds, options = self._seeds, self._options
+        observations, infos = self.envs.reset(seed=seeds, options=dict(options[0]) or None)
+        self.reset_infos = [_of_worm(infos, worm) for worm in range(self.num_envs)]
+        for worm in range(1, self.num_envs):
+            if options[worm] != options[0]:  # a vector environment takes one dict at a time
+                only = {"reset_mask": np.arange(self.num_envs) == worm}
+                observations, infos = self.envs.reset(seed=seeds, options=options[worm] | only)
+                self.reset_infos[worm] = _of_worm(infos, worm)
+        self._returns[:], self._lengths[:] = 0.0, 0
+        self._reset_seeds()
+        self._reset_options()
+        return observations  # type: ignore[no-any-return]
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        """Take the actions of the next step, in [-1, 1], shape (n, n_action)."""
+        if np.shape(actions) != (shape := (self.num_envs, *(self.action_space.shape or ()))):
+            raise ValueError(f"actions: shape must be {shape}, got {np.shape(actions)}")
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step every worm; one whose episode ended starts the next at once."""
+        observations, rewards, terminated, truncated, infos = self.envs.step(self._commands(self._actions))
+        dones = terminated | truncated
+        self._returns += rewards
+        self._lengths += 1
+        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for worm in np.flatnonzero(~dones).tolist() if self._has_goals else ():
+            told[worm]["reward_terms"] = _of_worm(infos["reward_terms"], worm)
+        for worm in np.flatnonzero(dones).tolist():
+            told[worm] = self._ended(worm, infos) | {"TimeLimit.truncated": not terminated[worm]}
+        return observations, rewards.astype(np.float32), dones, told
+
+    def _ended(self, worm: int, infos: Mapping[str, Any]) -> dict[str, Any]:
+        """Info of the episode's last step, with its sums and its outcome by what was commanded."""
+        info = _of_worm(infos["final_info"], worm)
+        info["outcome_errors"] = outcome_errors(self._task, self.reset_infos[worm]["command"], info["outcome"])
+        seconds = round(time.time() - self._began, 6)
+        info["episode"] = {"r": round(float(self._returns[worm]), 6), "l": int(self._lengths[worm]), "t": seconds}
+        info["terminal_observation"] = infos["final_obs"][worm]
+        self._returns[worm], self._lengths[worm] = 0.0, 0
+        started = {name: values for name, values in infos.items() if name not in ("final_info", "final_obs")}
+        self.reset_infos[worm] = _of_worm(started, worm)
+        return info
+
+    def close(self) -> None:
+        """Close the worms."""
+        self.envs.close()
+
+    def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
+        """Picture of each worm, shape (height, width, 3); None without a render mode."""
+        if self.render_mode is None:
+            return [None] * self.num_envs
+        return list(self.envs.render())
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Attribute of each worm."""
+        return [getattr(worm, attr_name) for worm in self._worms(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Give an attribute of each worm this value."""
+        for worm in self._worms(indices):
+            setattr(worm, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Return what a method of each worm returns."""
+        return [getattr(worm, method_name)(*method_args, **method_kwargs) for worm in self._worms(indices)]
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        """Whether each worm is in such a wrapper: only in a Monitor, as whose its episodes are summed up."""
+        return [issubclass(Monitor, wrapper_class) for _ in self._worms(indices)]
+
+    def _worms(self, indices: VecEnvIndices) -> list[Any]:
+        worms = self.envs.get_attr("unwrapped")
+        return [worms[index] for index in self._get_indices(indices)]
+
+
+def _of_worm(infos: Mapping[str, Any], worm: int) -> dict[str, Any]:
+    """Info of one worm out of arrays over all of them: what its masks, `_name`, say that it has."""
+    info: dict[str, Any] = {}
+    for name, values in infos.items():
+        if not name.startswith("_") and infos[f"_{name}"][worm]:
+            if isinstance(values, Mapping):
+                info[name] = _of_worm(values, worm)
+            else:
+                info[name] = values[worm] if values.ndim > 1 else values.item(worm)
+    return info
