@@ -6,24 +6,35 @@ import shlex
 import statistics
 import sys
 import time
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from functools import wraps
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common.vec_env import VecEnv
 
 from agents import run_folder
 from agents.command_line import as_program, options
 from agents.config import InputError, TrainConfig
 from agents.environments import Env, make_env, make_vector_env
 from agents.training import new_model
+from lattice_gym.engines import Engine
 from lattice_gym.reports.provenance import footer
+
+PARTS = ("physics", "environment", "adapter", "policy", "update")
+"""What PPO spends its time on, each without those before it: integrating the rods; observations, rewards and whatever
+else the environment does in a step; handing that over, checked for NaN and normalised; choosing actions; learning."""
+PHYSICS = (Engine, "advance")
+"""Whose method integrates the rods."""
+
+Measured = dict[str, float]
+"""Rates [steps/s] and shares of PPO's time, by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +43,10 @@ class BenchmarkConfig:
 
     train: TrainConfig = field(default_factory=TrainConfig)
     """Run whose worms and learner are timed; its total_steps, run_dir and checkpoints play no part."""
+    throughput: bool = False
+    """Time runs of as many worms as `worms` says, in place of train.n_envs."""
+    worms: tuple[int, ...] = (2, 8, 32)
+    """Numbers of worms for --throughput."""
     repeats: int = 7
     """Times that everything is measured."""
     steps: int = 200
@@ -46,67 +61,45 @@ class BenchmarkConfig:
         for name in ("repeats", "steps", "updates"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} = {getattr(self, name)}: must be 1 or more")
+        if not self.worms:
+            raise InputError("worms = (): must name at least one number of worms")
+        _ = self.runs
+
+    @property
+    def runs(self) -> list[TrainConfig]:
+        """Runs to time; raises InputError where their number of worms does not fit the batch."""
+        return [replace(self.train, n_envs=n) for n in self.worms] if self.throughput else [self.train]
 
 
 class Stopwatch:
-    """Adds up the time between starts and stops of each name [s]."""
+    """Adds up the time spent in each part [s], without that in other parts inside it."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
-        self._began: dict[str, float] = {}
+        self._inside: list[str] = []
+        self._since = 0.0
 
-    def start(self, name: str) -> None:
-        """Begin to count."""
-        self._began[name] = time.perf_counter()
+    def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Let calls of a function count as a part."""
 
-    def stop(self, name: str) -> None:
-        """Add the time since the start; does nothing without one."""
-        if name in self._began:
-            spent = time.perf_counter() - self._began.pop(name)
-            self.seconds[name] = self.seconds.get(name, 0.0) + spent
+        @wraps(function)
+        def call(*arguments: Any, **named: Any) -> Any:
+            self._count()
+            self._inside.append(part)
+            try:
+                return function(*arguments, **named)
+            finally:
+                self._count()
+                self._inside.pop()
 
+        return call
 
-class TimedVecEnv(VecEnvWrapper):
-    """Counts, as "simulator", the time from sending actions to having every worm's answer."""
-
-    def __init__(self, venv: VecEnv, watch: Stopwatch) -> None:
-        super().__init__(venv)
-        self.watch = watch
-
-    def reset(self) -> VecEnvObs:
-        """Start all worms anew."""
-        return self.venv.reset()
-
-    def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Send the actions."""
-        self.watch.start("simulator")
-        self.venv.step_async(actions)
-
-    def step_wait(self) -> VecEnvStepReturn:
-        """Wait for the slowest worm."""
-        answer = self.venv.step_wait()
-        self.watch.stop("simulator")
-        return answer
-
-
-class TimedUpdates(BaseCallback):
-    """Counts, as "learning", the time between two rollouts."""
-
-    def __init__(self, watch: Stopwatch) -> None:
-        super().__init__()
-        self.watch = watch
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        self.watch.start("learning")
-
-    def _on_rollout_start(self) -> None:
-        self.watch.stop("learning")
-
-    def _on_training_end(self) -> None:
-        self.watch.stop("learning")
+    def _count(self) -> None:
+        now = time.perf_counter()
+        if self._inside:
+            part = self._inside[-1]
+            self.seconds[part] = self.seconds.get(part, 0.0) + now - self._since
+        self._since = now
 
 
 def single_rate(env: Env, steps: int) -> float:
@@ -132,57 +125,84 @@ def vector_rate(venv: VecEnv, steps: int) -> float:
     return steps * venv.num_envs / (time.perf_counter() - began)
 
 
-def learning_split(model: PPO, watch: Stopwatch, steps: int) -> dict[str, float]:
-    """Count the steps a second of PPO and the share of its time in each part."""
-    watch.seconds.clear()
-    began = time.perf_counter()
-    model.learn(steps, callback=TimedUpdates(watch), reset_num_timesteps=False)
-    total = time.perf_counter() - began
-    parts = {name: watch.seconds[name] / total for name in ("simulator", "policy", "learning")}
+def learning_split(model: PPO, steps: int) -> Measured:
+    """Count the steps a second of PPO and the share of its time in each part; the rest is bookkeeping."""
+    watch, venv = Stopwatch(), model.get_env()
+    assert venv is not None
+    worms: Any = venv.unwrapped
+    owners = (PHYSICS, (worms.envs, "step"), (venv, "step"), (model.policy, "forward"), (model, "train"))
+    with ExitStack() as timing:
+        for part, (owner, method) in zip(PARTS, owners, strict=True):
+            timing.enter_context(patch.object(owner, method, watch.timed(part, getattr(owner, method))))
+        began = time.perf_counter()
+        model.learn(steps, reset_num_timesteps=False)
+        total = time.perf_counter() - began
+    parts = {name: watch.seconds[name] / total for name in PARTS}
     return {"PPO": steps / total} | parts | {"rest": 1.0 - sum(parts.values())}
 
 
 def benchmark(config: BenchmarkConfig, command: str = "") -> dict[str, Any]:
-    """Measure, write the report and return it: rates [steps/s] and shares of PPO's time."""
+    """Measure, write the report and return it; each list of `measured` has a figure for every repeat."""
     torch.set_num_threads(config.train.torch_threads)
     arguments = run_folder.requested_arguments(config.train)
-    env, venv, watch = make_env(arguments), make_vector_env(arguments, config.train.n_envs), Stopwatch()
-    try:
-        model = new_model(config.train, TimedVecEnv(venv, watch))
-        model.policy.register_forward_pre_hook(lambda *_: watch.start("policy"))
-        model.policy.register_forward_hook(lambda *_: watch.stop("policy"))
-        figures: dict[str, list[float]] = {}
-        rollout = config.train.n_envs * config.train.n_steps
+    single: list[float] = []
+    figures: list[dict[str, list[float]]] = [{} for _ in config.runs]
+    with ExitStack() as stack:
+        env = make_env(arguments)
+        stack.callback(env.close)
+        models = []
+        for run in config.runs:
+            venv = make_vector_env(arguments, run.n_envs, run.num_threads)
+            stack.callback(venv.close)
+            models.append((run, venv, new_model(run, venv)))
         for repeat in range(-1, config.repeats):
-            measured = {"one worm": single_rate(env, config.steps), "worms together": vector_rate(venv, config.steps)}
-            measured |= learning_split(model, watch, config.updates * rollout)
+            rate = single_rate(env, config.steps)
+            rows = [
+                {"worms together": vector_rate(venv, config.steps)}
+                | learning_split(model, config.updates * run.n_envs * run.n_steps)
+                for run, venv, model in models
+            ]
             if repeat >= 0:  # the first round warms up
-                for name, value in measured.items():
-                    figures.setdefault(name, []).append(value)
-    finally:
-        venv.close()
-        env.close()
+                single.append(rate)
+                for table, row in zip(figures, rows, strict=True):
+                    for name, value in row.items():
+                        table.setdefault(name, []).append(value)
     report = {
         "made": run_folder.made_by(command),
         "settings": config.train.to_dict(),
-        "median": {name: statistics.median(values) for name, values in figures.items()},
-        "measured": figures,
+        "one worm": {"median": statistics.median(single), "measured": single},
+        "runs": [
+            {
+                "n_envs": run.n_envs,
+                "median": {name: statistics.median(values) for name, values in table.items()},
+                "measured": table,
+            }
+            for run, table in zip(config.runs, figures, strict=True)
+        ],
     }
     run_folder.write_json(config.output, report)
     return report
+
+
+def format_runs(report: dict[str, Any]) -> str:
+    """Medians as a plain text table: rates, and of PPO's time the share of each part."""
+    shares = (*PARTS, "rest")
+    lines = ["worms   steps/s   PPO steps/s, of its time:" + "".join(name.rjust(13) for name in shares)]
+    for run in report["runs"]:
+        medians = run["median"]
+        rates = f"{run['n_envs']:5d}{medians['worms together']:10.0f}{medians['PPO']:14.0f}"
+        lines.append(
+            f"{rates:{len(lines[0]) - 13 * len(shares)}}" + "".join(f"{medians[name]:13.1%}" for name in shares)
+        )
+    return "\n".join(lines)
 
 
 def main(config: BenchmarkConfig) -> None:
     """Print rates and shares, and what they were measured with."""
     command = shlex.join(["python", "-m", "agents.benchmark", *sys.argv[1:]])
     report = benchmark(config, command)
-    medians = report["median"]
-    n_envs = config.train.n_envs
-    print(f"{'one worm':34}{medians['one worm']:8.0f} steps/s")
-    print(f"{f'{n_envs} worms together':34}{medians['worms together']:8.0f} steps/s")
-    print(f"{f'PPO on {n_envs} worms':34}{medians['PPO']:8.0f} steps/s, of its time:")
-    for name in ("simulator", "policy", "learning", "rest"):
-        print(f"    {name:30}{medians[name]:8.1%}")
+    print(f"one worm alone: {report['one worm']['median']:.0f} steps/s\n")
+    print(format_runs(report))
     print(f"\nmedians of {config.repeats} interleaved repeats; written to {config.output}")
     print(footer(report["made"]))
 

@@ -69,7 +69,7 @@ def _train(path: Path, settings: TrainConfig) -> None:
         train(replace(settings, run_dir=path))
         return
     known = Run.open(path)
-    if replace(known.config, time_limit=settings.time_limit) != settings:
+    if replace(known.config, time_limit=settings.time_limit, num_threads=settings.num_threads) != settings:
         raise InputError(f"{path}: a run with other settings; discard it with: make demo FRESH=1")
     left = known.steps < settings.total_steps
     found = f"continuing {path} at" if left else f"{path} is trained,"

@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -24,7 +25,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from agents import demo as demo_module
 from agents import run_folder
-from agents.benchmark import BenchmarkConfig, benchmark
+from agents.benchmark import PARTS, BenchmarkConfig, Stopwatch, benchmark, format_runs
 from agents.command_line import as_program
 from agents.config import InputError, Task, TrainConfig
 from agents.environments import make_env, make_vector_env
@@ -143,12 +144,12 @@ def _first_action(path: Path) -> Any:
 
 
 def test_resume_continues_with_the_same_settings(copy: Path) -> None:
-    """Steps, log and sessions go on where they stopped."""
+    """Steps, log and sessions go on where they stopped, be it on another number of threads."""
     before = (copy / "progress.csv").read_text().splitlines()
-    train(replace(resume_settings(copy), total_steps=240))
+    train(replace(resume_settings(copy), total_steps=240, num_threads=1))
     run = Run.open(copy)
     assert run.steps == 240
-    assert run.config == replace(TINY, total_steps=240, control="ring")
+    assert run.config == replace(TINY, total_steps=240, num_threads=1, control="ring")
     assert [row["time/total_timesteps"] for row in run.rows()] == [80, 160, 240]
     assert (copy / "progress.csv").read_text().splitlines()[1].split(",")[:5] == before[1].split(",")[:5]
     assert [session["from_step"] for session in json.loads((copy / "versions.json").read_text())] == [0, 160]
@@ -688,18 +689,57 @@ def test_rollout_refuses_bad_input(finished: Path, policy: Any, seed: int, messa
 
 
 def test_benchmark_report(tmp_path: Path) -> None:
-    """Rates are positive, shares add up, every repeat is kept."""
-    config = BenchmarkConfig(train=replace(TINY, n_steps=40), repeats=2, steps=5, updates=1, output=tmp_path / "b.json")
-    report = benchmark(config, "a command")
-    medians = report["median"]
-    assert set(medians) == {"one worm", "worms together", "PPO", "simulator", "policy", "learning", "rest"}
-    assert all(value > 0.0 for value in medians.values())
-    assert sum(medians[name] for name in ("simulator", "policy", "learning", "rest")) == pytest.approx(1.0, abs=0.1)
+    """Rates are positive, shares add up, every repeat and every number of worms is kept."""
+    settings = replace(TINY, n_steps=40, fidelity="fast")
+    config = BenchmarkConfig(train=settings, repeats=2, steps=5, updates=1, output=tmp_path / "b.json")
+    report = benchmark(replace(config, throughput=True, worms=(1, 3)), "a command")
     assert json.loads(config.output.read_text()) == report
     assert report["made"]["command"] == "a command"
-    assert all(len(values) == 2 for values in report["measured"].values())
-    with pytest.raises(InputError, match="repeats = 0"):
-        BenchmarkConfig(repeats=0)
+    assert report["one worm"]["median"] == pytest.approx(np.mean(report["one worm"]["measured"]))
+    assert [run["n_envs"] for run in report["runs"]] == [1, 3]
+    for run in report["runs"]:
+        assert set(run["median"]) == {"worms together", "PPO", *PARTS, "rest"}
+        assert all(value > 0.0 and len(run["measured"][name]) == 2 for name, value in run["median"].items())
+        for repeat in range(2):
+            assert sum(run["measured"][name][repeat] for name in (*PARTS, "rest")) == pytest.approx(1.0)
+    title, *rows = format_runs(report).splitlines()
+    assert len({len(line) for line in (title, *rows)}) == 1
+    assert [row.split()[0] for row in rows] == ["1", "3"]
+    assert [run["n_envs"] for run in benchmark(config)["runs"]] == [1]
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"repeats": 0}, "repeats = 0: must be 1 or more"),
+        ({"worms": ()}, "worms = .*: must name at least one"),
+        ({"throughput": True, "worms": (1, 8)}, "batch_size = 256: must divide n_envs"),
+    ],
+)
+def test_benchmark_refuses_bad_settings(settings: dict[str, Any], message: str) -> None:
+    """Before anything is measured."""
+    with pytest.raises(InputError, match=f"^{message}"):
+        BenchmarkConfig(**settings)
+
+
+def test_stopwatch_counts_what_is_inside_apart() -> None:
+    """Parts add up to the whole, also where a call raises."""
+    watch = Stopwatch()
+    inner = watch.timed("inner", lambda: time.sleep(0.02))
+
+    def fails() -> None:
+        inner()
+        time.sleep(0.01)
+        inner()
+        raise RuntimeError("late")
+
+    began = time.perf_counter()
+    with pytest.raises(RuntimeError, match="late"):
+        watch.timed("outer", fails)()
+    total = time.perf_counter() - began
+    assert watch.seconds["inner"] >= 0.04
+    assert watch.seconds["outer"] >= 0.01
+    assert 0.05 <= sum(watch.seconds.values()) <= total
 
 
 def test_demo_reuses_its_run(copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
