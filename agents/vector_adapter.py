@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.utils import rescale_box
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
@@ -26,18 +26,19 @@ class WormVecEnv(VecEnv):
     the info of a worm in mid-episode is empty. Only where goals are observed does it hold `reward_terms`, by which
     `compute_reward` pays: hindsight replay needs `copy_info_dict=True`, as for a single worm.
 
-    Attributes of worms are those of the bare environments, below any wrapper.
+    Attributes and methods are those of the vector environment, which all worms share, or, of gymnasium's
+    SyncVectorEnv, those of each bare environment in it, below any wrapper.
 
     Parameters
     ----------
     envs
-        Vector environment of lattice worms, with `AutoresetMode.SAME_STEP`.
+        What `gymnasium.make_vec` gives for an id of lattice worms, with `AutoresetMode.SAME_STEP`.
 
     Raises
     ------
     ValueError
         Something else than that; actions of another shape than (n, n_action); options that are neither a dict
-        for all worms nor a list of n dicts.
+        for all worms nor a list of n dicts; an attribute to set for some worms where all share it.
     """
 
     def __init__(self, envs: VectorEnv[Any, Any, Any]) -> None:
@@ -45,12 +46,14 @@ class WormVecEnv(VecEnv):
             raise ValueError(f"envs = {envs!r}: must be a gymnasium.vector.VectorEnv")
         if (mode := envs.metadata.get("autoreset_mode")) is not AutoresetMode.SAME_STEP:
             raise ValueError(f"envs: autoreset_mode must be AutoresetMode.SAME_STEP, got {mode}")
-        if not isinstance(envs.single_action_space, spaces.Box):
-            raise ValueError(f"envs: single_action_space must be a Box, got {envs.single_action_space}")
+        if (made := envs.unwrapped.spec) is None or "task" not in made.kwargs:
+            raise ValueError(f"envs = {envs!r}: must be lattice worms that gymnasium.make_vec made")
         self.envs: Any = envs
+        self._apart = isinstance(envs.unwrapped, SyncVectorEnv)
+        assert isinstance(envs.single_action_space, spaces.Box)
         actions, _, self._commands = rescale_box(envs.single_action_space, np.float32(-1.0), np.float32(1.0))
         super().__init__(envs.num_envs, envs.single_observation_space, actions)
-        self._task: str = self.get_attr("task")[0].name
+        self._task: str = made.kwargs["task"]
         self._has_goals = isinstance(envs.single_observation_space, spaces.Dict)
         self._returns = np.zeros(self.num_envs)
         self._lengths = np.zeros(self.num_envs, dtype=np.int64)
@@ -120,28 +123,33 @@ class WormVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Attribute of each worm."""
-        return [getattr(worm, attr_name) for worm in self._worms(indices)]
+        return [getattr(holder, attr_name) for holder in self._holders(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Give an attribute of each worm this value."""
-        for worm in self._worms(indices):
-            setattr(worm, attr_name, value)
+        holders = self._holders(indices)
+        if len(holders) < self.num_envs and not self._apart:
+            raise ValueError(f"indices = {indices!r}: must be None, as all worms share {attr_name}")
+        for holder in holders:
+            setattr(holder, attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
         """Return what a method of each worm returns."""
-        return [getattr(worm, method_name)(*method_args, **method_kwargs) for worm in self._worms(indices)]
+        return [getattr(holder, method_name)(*method_args, **method_kwargs) for holder in self._holders(indices)]
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
         """Whether each worm is in such a wrapper: only in a Monitor, as whose its episodes are summed up."""
-        return [issubclass(Monitor, wrapper_class) for _ in self._worms(indices)]
+        return [issubclass(Monitor, wrapper_class) for _ in self._get_indices(indices)]
 
-    def _worms(self, indices: VecEnvIndices) -> list[Any]:
-        worms = self.envs.get_attr("unwrapped")
-        return [worms[index] for index in self._get_indices(indices)]
+    def _holders(self, indices: VecEnvIndices) -> list[Any]:
+        """Find what holds the attributes of each worm."""
+        bare = self.envs.unwrapped
+        holders = bare.get_attr("unwrapped") if self._apart else [bare] * self.num_envs
+        return [holders[index] for index in self._get_indices(indices)]
 
 
 def _of_worm(infos: Mapping[str, Any], worm: int) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorEnv
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
@@ -124,14 +124,11 @@ def test_seeds_and_options_are_for_one_reset() -> None:
     apart.close()
 
 
-def test_attributes_and_methods_of_worms() -> None:
-    """By index as in DummyVecEnv; a method is called for the worms asked for only."""
+def test_methods_of_worms() -> None:
+    """One call for each worm asked for, by index as in DummyVecEnv."""
     venv = _together(_arguments(GOAL), 3)
-    assert venv.get_attr("control_dt") == [0.05] * 3
-    venv.set_attr("note", "here", indices=[1])
-    assert [venv.has_attr("note"), hasattr(venv.get_attr("unwrapped", 1)[0], "note")] == [False, True]
-    assert venv.get_attr("note", indices=1) == ["here"]
     assert [venv.has_attr("compute_reward"), venv.has_attr("compute_regret")] == [True, False]
+    assert venv.get_attr("render_mode", indices=[0, 2]) == [None, None]
     assert venv.env_is_wrapped(Monitor) == [True] * 3
     assert venv.env_is_wrapped(gymnasium.wrappers.TimeLimit, indices=[0]) == [False]
     goals = np.zeros((5, 3), dtype=np.float32)
@@ -139,6 +136,32 @@ def test_attributes_and_methods_of_worms() -> None:
     assert rewards.shape == (5,)
     assert len(venv.env_method("compute_reward", goals, goals, info=None)) == 3
     venv.close()
+
+
+def test_attributes_are_of_single_worms_or_shared() -> None:
+    """Worms of a SyncVectorEnv have their own; what all share is not set for some of them."""
+    single = gymnasium.make_vec(
+        GOAL, 3, "sync", {"autoreset_mode": AutoresetMode.SAME_STEP}, fidelity="fast", control="column"
+    )
+    venv = WormVecEnv(single)
+    assert venv.get_attr("control_dt") == [0.05] * 3
+    venv.set_attr("note", "here", indices=[1])
+    assert [hasattr(worm, "note") for worm in venv.get_attr("unwrapped")] == [False, True, False]
+    venv = WormVecEnv(_Shared(single))
+    venv.set_attr("note", "there")
+    assert venv.get_attr("note", indices=[0, 2]) == ["there", "there"]
+    with pytest.raises(ValueError, match=r"^indices = \[1\]: must be None, as all worms share note"):
+        venv.set_attr("note", "here", indices=[1])
+    single.close()
+
+
+class _Shared(VectorEnv[Any, Any, Any]):
+    """Vector environment that has no single ones."""
+
+    def __init__(self, like: VectorEnv[Any, Any, Any]) -> None:
+        self.num_envs, self.metadata, self.spec = like.num_envs, like.metadata, like.spec
+        self.single_action_space = like.single_action_space
+        self.single_observation_space = like.single_observation_space
 
 
 def test_pictures_are_tiled() -> None:
@@ -166,7 +189,7 @@ def test_what_is_no_vector_of_worms_is_refused() -> None:
         WormVecEnv(later)
     same_step = {"autoreset_mode": AutoresetMode.SAME_STEP}
     carts = gymnasium.make_vec("CartPole-v1", vectorization_mode="sync", vector_kwargs=same_step)
-    with pytest.raises(ValueError, match=r"^envs: single_action_space must be a Box, got Discrete"):
+    with pytest.raises(ValueError, match=r"^envs = .*: must be lattice worms that gymnasium\.make_vec made"):
         WormVecEnv(carts)
     with pytest.raises(InputError, match="muscles = 'wings'"):
         make_vector_env(_arguments("LatticeWorm-v0", muscles="wings"), 2)
