@@ -762,10 +762,10 @@ def test_demo_reuses_its_run(copy: Path, monkeypatch: pytest.MonkeyPatch, capsys
 
 
 def test_demo_says_that_it_continues(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The first line tells how to start over instead; without a video nothing is filmed."""
+    """The first line tells how to start over instead; without a video nothing is filmed. Threads are no setting."""
     config = replace(Run.open(copy).config, total_steps=240)
     (copy / "config.json").write_text(json.dumps(config.to_dict()))
-    demo_module.demo(copy, config, episodes=1, video=False)
+    demo_module.demo(copy, replace(config, num_threads=1), episodes=1, video=False)
     assert capsys.readouterr().out.startswith(f"continuing {copy} at 160 steps; make demo FRESH=1 starts over\n")
     assert Run.open(copy).steps == 240
     assert not list(copy.glob("*.mp4"))
