@@ -32,9 +32,9 @@ def make_vector_env(arguments: Mapping[str, Any], n_envs: int, num_threads: int 
 
     Raises InputError if they cannot be built; NaN or infinity on the way between worms and learner raises ValueError.
     """
-    same_step = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    batch: dict[str, Any] = {"num_envs": n_envs, "num_threads": num_threads, "autoreset_mode": AutoresetMode.SAME_STEP}
     try:
-        envs = gymnasium.make_vec(**arguments, num_envs=n_envs, vectorization_mode="sync", vector_kwargs=same_step)
+        envs = gymnasium.make_vec(**arguments, **batch)
     except ValueError as error:
         raise InputError(str(error)) from error
     return VecCheckNan(WormVecEnv(envs), raise_exception=True)

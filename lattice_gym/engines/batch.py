@@ -31,8 +31,8 @@ class BatchEngine:
     """Worms of one shape of assembly, each of which moves to the last bit as it would in an engine of its own.
 
     What one does, diverging included, no other feels. Fused worms with the same features (see `fused.Features`) share
-    packs, and packs share threads; with a ball, contact, friction by direction or a check each has an engine of its own,
-    as it has on the pyelastica engine, which has no use for threads.
+    packs, and packs share threads; with a ball, contact, friction by direction or a check each has an engine of its
+    own, as it has on the pyelastica engine, which has no use for threads.
 
     Parameters
     ----------
