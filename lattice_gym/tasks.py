@@ -146,6 +146,10 @@ class Task(ABC):
         layout = named_layout(self.layout, self.lattice)
         return build_model(self.lattice, layout, self.surroundings(self.lattice))
 
+    def check(self, options: Mapping[str, object] | None) -> None:
+        """Raise the ValueError of `begin` for options that it would refuse whatever is drawn."""
+        self._checked("options", options)
+
     def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None, worm: int = 0) -> None:
         """Start an episode of a worm: draw its command, with what constructor or options give (the latter win)."""
         command = self._drawn(rng, options)

@@ -126,6 +126,8 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         seeds, (mask, given) = self._seeds(seed), self._options(options)
         if self._seen is None and not mask.all():
             raise gymnasium.error.ResetNeeded("reset() must be called without a reset_mask first")
+        for worm in _worms(mask):
+            self._episodes.task.check(given[worm])
         infos: dict[str, Any] = {}
         for worm in _worms(mask):
             if seeds[worm] is not None:

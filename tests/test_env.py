@@ -645,6 +645,7 @@ _JUNK = st.one_of(
             "command",
             "world",
             "render_mode",
+            "randomise",
         ]
     ),
     value=_JUNK,

@@ -315,6 +315,20 @@ def test_wrong_calls(call: Callable[[], object], message: str) -> None:
         call()
 
 
+def test_a_refused_reset_changes_nothing() -> None:
+    """Of no worm, were it only one for which it was wrong."""
+    one, other = (LatticeWormVectorEnv(2, task="reach", **QUICK) for _ in range(2))
+    action = _actions(one, 1)[0]
+    for native in (one, other):
+        native.reset(seed=0)
+        native.step(action)
+    with pytest.raises(ValueError, match="radius"):
+        one.reset(seed=9, options={"radius": np.array([0.1, 9.0])})
+    assert one.np_random_seed == other.np_random_seed
+    for part, expected in zip(one.step(action)[:4], other.step(action)[:4], strict=True):
+        np.testing.assert_array_equal(part, expected)
+
+
 @given(st.lists(st.floats(allow_nan=False, width=32), min_size=2 * _N_ACTION, max_size=2 * _N_ACTION))
 @settings(max_examples=20, deadline=None)
 def test_any_number_is_clipped_and_counted(values: list[float]) -> None:
