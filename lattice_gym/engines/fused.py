@@ -70,11 +70,11 @@ def _place(model: RodModel, n_worm: int) -> _Placement:
     return _Placement(rod_cell, rod_lane, passive, active, n_cell)
 
 
-def _aligned(n_cell: int) -> kernels.Cells:
+def _aligned(dtype: np.dtype[np.void], count: int) -> kernels.Cells:
     """Make records of zeros that begin on a cache line, so that no packed load straddles two."""
-    space = np.zeros(n_cell * kernels.CELL.itemsize + _CACHE_LINE, np.uint8)
+    space = np.zeros(count * dtype.itemsize + _CACHE_LINE, np.uint8)
     start = -space.ctypes.data % _CACHE_LINE
-    return space[start : start + n_cell * kernels.CELL.itemsize].view(kernels.CELL)
+    return space[start : start + count * dtype.itemsize].view(dtype)
 
 
 def _fill_lane(cells: kernels.Cells, lane: int, rod: Rod, dt: float) -> None:
@@ -86,14 +86,12 @@ def _fill_lane(cells: kernels.Cells, lane: int, rod: Rod, dt: float) -> None:
     elements["inv_rest"][:, lane] = 1.0 / rod.rest_length
     elements["shear"][:, lane] = rod.shear_stiffness
     elements["stretch"][:, lane] = rod.stretch_stiffness
-    elements["spin_kick"][:, lane] = dt / rod.inertia
-    elements["spin_decay"][:, lane] = 0.5 * dt * rod.rotational_damping / rod.inertia
-    elements["free"][:, lane] = 1.0
-    voronoi["rest_voronoi"][:, lane] = rod.rest_voronoi
-    voronoi["inv_rest_voronoi"][:, lane] = 1.0 / rod.rest_voronoi
-    voronoi["bend"][:, lane] = rod.bend_stiffness
-    voronoi["twist"][:, lane] = rod.twist_stiffness
-    voronoi["rest_kappa"][:, :, lane] = rod.rest_kappa
+    elements["spin_kick"][:, lane] = dt / rod.inertia / rod.rest_length
+    elements["spin_decay"][:, lane] = 0.5 * dt * rod.rotational_damping / rod.inertia / rod.rest_length
+    voronoi["half_inv_rest"][:, lane] = 0.5 / rod.rest_voronoi
+    voronoi["bend"][:, lane] = rod.bend_stiffness / rod.rest_voronoi
+    voronoi["twist"][:, lane] = rod.twist_stiffness / rod.rest_voronoi
+    voronoi["rest_turn"][:, :, lane] = rod.rest_kappa * rod.rest_voronoi[:, None]
 
 
 def _pack_hill(hill: Hill | None) -> kernels.Hill | None:
@@ -181,7 +179,8 @@ class Pack:
         elements = np.concatenate([np.arange(n) for n in counts])
         self.node = np.repeat(place.rod_cell, counts + 1, axis=1) + nodes, np.repeat(place.rod_lane, counts + 1, axis=1)
         self.element = np.repeat(place.rod_cell, counts, axis=1) + elements, np.repeat(place.rod_lane, counts, axis=1)
-        self.cells = _aligned(place.n_cell)
+        self.cells = _aligned(kernels.CELL, place.n_cell)
+        self.work = _aligned(kernels.WORK, 2)
         n_joint, n_line, n_muscle = len(model.joints), len(model.lines), len(model.muscles)
         self.joints = kernels.Joints(*self._ends(model.joints), np.zeros(n_worm * n_joint))
         self.joint_damping = np.zeros(n_worm * n_joint) if has.damped_joints else None
@@ -243,7 +242,7 @@ class Pack:
             if clamp.node is not None:
                 cells["keep"][cell + clamp.node, lane] = cells["push"][cell + clamp.node, lane] = 0.0
             if clamp.element is not None:
-                cells["free"][cell + clamp.element, lane] = 0.0
+                cells["spin_kick"][cell + clamp.element, lane] = 0.0
         if has.loads:
             for name in ("load", "force"):
                 cells[name][node[0], :, node[1]] = _loads(model)
@@ -272,7 +271,7 @@ class Pack:
             worm, rod = np.nonzero(place.rod_cell == start)
             for lane in range(len(rod), kernels.LANES):
                 _fill_lane(self.cells[start:stop], lane, self.models[worm[0]].rods[rod[0]], self.dt)
-            self.cells["free"][start:stop, len(rod) :] = 0.0
+            self.cells["spin_kick"][start:stop, len(rod) :] = 0.0
             self.cells["height"][start:stop, len(rod) :] = -np.inf
 
     def state(self, worm: int) -> RodState:
@@ -325,6 +324,7 @@ class Pack:
         has = self.features
         kernels.run(
             self.cells,
+            self.work,
             self.place.passive,
             self.place.active,
             self.joints,
@@ -376,6 +376,8 @@ class FusedEngine(Engine):
         self._ball = self._pack_ball()
         self._contact = self._pack_contact()
         self._account = self._open_account() if energy_check else None
+        if energy_check:
+            self._pack.work = _aligned(kernels.WORK, 2 ** self._pack.place.n_cell.bit_length())
 
     def _open_account(self) -> kernels.Account:
         """Account with nothing in it: constants of every node and element by record and lane."""

@@ -23,27 +23,46 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+from numba import float64, njit
+from numba.extending import intrinsic
 
 LANES = 16
 
-_PER_LANE: dict[str, int] = {
+
+def _record(**fields: int) -> np.dtype[np.void]:
+    """Record of fields by their number of components; `x[i, lane]`, or `rest[lane]` of a single one."""
+    return np.dtype([(name, np.float64, (n, LANES) if n > 1 else (LANES,)) for name, n in fields.items()])
+
+
+CELL = _record(
     # node
-    "x": 3, "v": 3, "force": 3, "push": 1, "keep": 1,
+    x=3, v=3, force=3, push=1, keep=1,
     # element
-    "q": 9, "w": 3, "rest": 1, "inv_rest": 1, "shear": 1, "stretch": 1, "spin_kick": 1, "free": 1,
+    q=9, w=3, rest=1, shear=1, stretch=1, spin_kick=1, spin_decay=1,
     # Voronoi region
-    "rest_voronoi": 1, "inv_rest_voronoi": 1, "bend": 1, "twist": 1, "rest_kappa": 3,
-    # work space
-    "torque": 3, "length": 1, "dilatation": 1, "lean": 3, "stretch_rate": 1, "half_angle": 1, "spin_keep": 1,
-    "square": 1, "sine": 1, "versine": 1,
+    bend=1, twist=1, half_inv_rest=1, rest_turn=3,
     # only where the scene has them
-    "tension": 1, "tension_rise": 1, "couple": 3, "spin_decay": 1, "spin_late": 1, "load": 3, "height": 1, "rubbed": 1,
-}  # fmt: skip
-CELL = np.dtype([(name, np.float64, (size, LANES) if size > 1 else (LANES,)) for name, size in _PER_LANE.items()])
-"""One record of a block; `x[i, lane]` and so on. See `_PER_LANE` for the number of components."""
+    tension=1, tension_rise=1, inv_rest=1, couple=3, load=3, height=1, rubbed=1,
+)  # fmt: skip
+"""One record of a block."""
+
+WORK = _record(
+    arm=2,
+    passed=3,
+    length=1,
+    stretch_rate=1,
+    lean=3,
+    spin_keep=1,
+    spin_late=1,
+    half_angle=1,
+    square=1,
+    sine=1,
+    versine=1,
+)
+"""What is known of an element within a step. Two records are enough to step with: they stay in the fastest memory."""
 
 Cells = npt.NDArray[Any]
+FloatArray = npt.NDArray[np.float64]
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -210,13 +229,12 @@ class Worms(NamedTuple):
 
 
 def compiled(function: Function) -> Function:
-    """Compile with the licence to fuse, but not to assume that NaN never occurs: divergence must show.
+    """Compile with no licence to assume that NaN never occurs, for divergence must show, nor to reorder or fuse.
 
-    Nor to reorder: what the compiler unrolls it then orders differently from one half of the lanes to the other, and how
-    a rod moves would depend on its lane.
+    What the compiler unrolls it would order and fuse differently from one half of the lanes to the other, and how a rod
+    moves would depend on its lane: products that are to be fused say so, see `fma`.
     """
-    options = {"nsz", "arcp", "contract", "afn"}
-    return cast(Function, njit(cache=True, error_model="numpy", fastmath=options)(function))
+    return cast(Function, njit(cache=True, error_model="numpy", fastmath={"nsz", "arcp", "afn"})(function))
 
 
 def compiled_strictly(function: Function) -> Function:
@@ -229,14 +247,29 @@ def entry(function: Function) -> Function:
     return cast(Function, njit(cache=True, error_model="numpy", nogil=True)(function))
 
 
-# asin(sqrt(y)) / sqrt(y (1 - y)) = sum_k c_k y^k with c_0 = 1, c_k = c_(k-1) 2k / (2k + 1); with y = sin^2(angle / 2)
-# it is angle / sin(angle). Fifteen terms are exact to rounding for y < 0.09, an angle of 35 degrees.
-_ARC = tuple(float(np.prod([2.0 * k / (2.0 * k + 1.0) for k in range(1, n + 1)])) for n in range(15))
-_A0, _A1, _A2, _A3, _A4, _A5, _A6, _A7, _A8, _A9, _A10, _A11, _A12, _A13, _A14 = _ARC
-_LARGE_HALF = 0.5 * float(np.polynomial.polynomial.polyval(0.09, _ARC))
-# sin(t)/t and (1 - cos t)/t^2 as series in t^2: eight terms are exact to rounding for t^2 < 0.25.
+@intrinsic
+def fma(_: Any, a: Any, b: Any, c: Any) -> Any:  # type: ignore[no-untyped-def]
+    """Return a b + c, rounded once."""
+    return float64(float64, float64, float64), lambda context, builder, signature, values: builder.fma(*values)
+
+
+def _series(function: Callable[[FloatArray], FloatArray], degree: int, top: float) -> tuple[float, ...]:
+    """Coefficients of the polynomial through a function at the Chebyshev points of [0, top]."""
+    fit = np.polynomial.Chebyshev.interpolate(function, degree, (0.0, top))
+    return tuple(fit.convert(kind=np.polynomial.Polynomial, domain=(-1.0, 1.0), window=(-1.0, 1.0)).coef.tolist())
+
+
+# Each is exact to rounding up to where it ends. Of y = sin^2(angle / 2), angle / sin(angle) up to 35 degrees:
+_LARGE_Y = 0.09
+_ARC = _series(lambda y: np.arcsin(np.sqrt(y)) / np.sqrt(y * (1.0 - y)), 9, _LARGE_Y)
+_LARGE_HALF = 0.5 * float(np.polynomial.polynomial.polyval(_LARGE_Y, _ARC))
+# Of t^2, sin(t) / t and (1 - cos(t)) / t^2:
 _LARGE_T2 = 0.25
+_SINE = _series(lambda t2: np.sin(np.sqrt(t2)) / np.sqrt(t2), 5, _LARGE_T2)
+_VERSINE = _series(lambda t2: 2.0 * np.sin(0.5 * np.sqrt(t2)) ** 2 / t2, 5, _LARGE_T2)
+# Of y, (1 - exp(-y)) / y:
 _LARGE_DECAY = 0.25
+_TAIL = _series(lambda y: -np.expm1(-y) / y, 8, _LARGE_DECAY)
 # The friction of all contacts together takes at most one over this of a slip within a step.
 _GRIP = 2.0
 _LEAST_SQUARE = 1e-300
@@ -246,6 +279,11 @@ _PARALLEL = 1e-8
 _FAR_CELL = 1e9
 # Spin damped to less than this share within a step is too slow to count; the bound keeps 1 / keep^4 finite.
 _LEAST_KEEP = 1e-70
+
+
+@compiled
+def _dot(a0: float, a1: float, a2: float, b0: float, b1: float, b2: float) -> float:
+    return float(fma(a2, b2, fma(a1, b1, a0 * b0)))
 
 
 @compiled
@@ -262,112 +300,118 @@ def _hill_factor(dilatation: float, rate: float, hill: Hill) -> float:
 
 
 @compiled
-def _stress(pair: Cells, tension: float | None, hill: Hill | None, couples: float | None) -> None:
-    """Stretch and shear of element e: add its force to both nodes, set its torque (material frame)."""
+def _stress(
+    pair: Cells,
+    work: Any,
+    tension: float | None,
+    hill: Hill | None,
+    spin_damping: float | None,
+    symmetric: float | None,
+) -> None:
+    """Stretch and shear of element e: add its force to both nodes, set its torque (material frame) without twist.
+
+    With t the tangent, e the dilatation and S, B the stiffness against shear and stretch the force is
+    Q^T diag(S, S, B) (e Q t - d3) / e = S t + [B (e d3.t - 1) - S e d3.t] / e d3, for both directions of shear are alike,
+    and its torque Q t x n has no third component.
+    """
     here, there = pair[0], pair[1]
     x0, x1, v0, v1, q, f0, f1 = here.x, there.x, here.v, there.v, here.q, here.force, there.force
-    rest, inv_rest, shear, stretch, lean = here.rest, here.inv_rest, here.shear, here.stretch, here.lean
-    torque, length, dilatation, stretch_rate = here.torque, here.length, here.dilatation, here.stretch_rate
-    pull, rise, couple = here.tension, here.tension_rise, here.couple
+    rest, shear, stretch, lean, arm = here.rest, here.shear, here.stretch, work.lean, work.arm
+    length, stretch_rate, inv_rest = work.length, work.stretch_rate, here.inv_rest
+    pull, rise = here.tension, here.tension_rise
+    decay, spin_keep, spin_late = here.spin_decay, work.spin_keep, work.spin_late
+    n_large = 0
     for j in range(LANES):
         dx, dy, dz = x1[0, j] - x0[0, j], x1[1, j] - x0[1, j], x1[2, j] - x0[2, j]
-        square = dx * dx + dy * dy + dz * dz
+        square = _dot(dx, dy, dz, dx, dy, dz)
         inverse = 1.0 / np.sqrt(square)
+        size, inverse_square = square * inverse, inverse * inverse
         du, dv, dw = v1[0, j] - v0[0, j], v1[1, j] - v0[1, j], v1[2, j] - v0[2, j]
-        lx, ly, lz = dx * inverse * inverse, dy * inverse * inverse, dz * inverse * inverse
-        lean[0, j], lean[1, j], lean[2, j] = lx, ly, lz
-        stretch_rate[j] = du * lx + dv * ly + dw * lz
-        length[j] = square * inverse
-        dilatation[j] = square * inverse * inv_rest[j]
-        inv_dil = rest[j] * inverse
-        a = (q[0, j] * dx + q[1, j] * dy + q[2, j] * dz) * inv_rest[j]
-        b = (q[3, j] * dx + q[4, j] * dy + q[5, j] * dz) * inv_rest[j]
-        c = (q[6, j] * dx + q[7, j] * dy + q[8, j] * dz) * inv_rest[j]
-        n0, n1, n2 = shear[j] * a, shear[j] * b, stretch[j] * (c - 1.0)
-        s0 = (q[0, j] * n0 + q[3, j] * n1 + q[6, j] * n2) * inv_dil
-        s1 = (q[1, j] * n0 + q[4, j] * n1 + q[7, j] * n2) * inv_dil
-        s2 = (q[2, j] * n0 + q[5, j] * n1 + q[8, j] * n2) * inv_dil
+        rate = _dot(du, dv, dw, dx, dy, dz) * inverse_square
+        length[j], stretch_rate[j] = size, rate
+        if symmetric is not None:
+            lean[0, j], lean[1, j], lean[2, j] = dx * inverse_square, dy * inverse_square, dz * inverse_square
+        if spin_damping is not None:
+            y = decay[j] * size
+            tail = _exp_tail(y)
+            spin_keep[j] = fma(-y, tail, 1.0)
+            if symmetric is not None:
+                spin_late[j] = tail
+            n_large += 1 if y > _LARGE_DECAY else 0
+        a = _dot(q[0, j], q[1, j], q[2, j], dx, dy, dz)
+        b = _dot(q[3, j], q[4, j], q[5, j], dx, dy, dz)
+        c = _dot(q[6, j], q[7, j], q[8, j], dx, dy, dz)
+        across = fma(stretch[j], c - rest[j], -(shear[j] * c)) * inverse
+        arm[0, j], arm[1, j] = b * across, -(a * across)
+        along = shear[j]
         if tension is not None:
-            per_length = pull[j] * inverse
+            now = pull[j]
             if hill is not None:
-                per_length *= _hill_factor(dilatation[j], stretch_rate[j] * dilatation[j], hill)
-            s0 += per_length * dx
-            s1 += per_length * dy
-            s2 += per_length * dz
+                now *= _hill_factor(size * inv_rest[j], rate * (size * inv_rest[j]), hill)
+            along += now
             pull[j] += rise[j]
+        along *= inverse
+        s0, s1, s2 = (
+            fma(q[6, j], across, dx * along),
+            fma(q[7, j], across, dy * along),
+            fma(q[8, j], across, dz * along),
+        )
         f0[0, j] += s0
         f0[1, j] += s1
         f0[2, j] += s2
         f1[0, j] -= s0
         f1[1, j] -= s1
         f1[2, j] -= s2
-        # (Q t) x n rest = (Q dx / rest) x n rest^2 / length
-        arm = rest[j] * inv_dil
-        m0, m1, m2 = (b * n2 - c * n1) * arm, (c * n0 - a * n2) * arm, (a * n1 - b * n0) * arm
-        if couples is not None:
-            m0 += couple[0, j]
-            m1 += couple[1, j]
-            m2 += couple[2, j]
-        torque[0, j], torque[1, j], torque[2, j] = m0, m1, m2
+    if n_large > 0:
+        _large_decay(here, work, symmetric)
 
 
 @compiled
-def _couple(pair: Cells) -> None:
-    """Add the couple of bend and twist between elements e and e + 1 to the torque on either."""
-    here, there = pair[0], pair[1]
-    p, q, la, lb, half_angle = here.q, there.q, here.length, there.length, here.half_angle
-    n_large = 0
-    for j in range(LANES):
-        trace = (
-            q[0, j] * p[0, j] + q[1, j] * p[1, j] + q[2, j] * p[2, j]
-            + q[3, j] * p[3, j] + q[4, j] * p[4, j] + q[5, j] * p[5, j]
-            + q[6, j] * p[6, j] + q[7, j] * p[7, j] + q[8, j] * p[8, j]
-        )  # fmt: skip
-        y = 0.75 - 0.25 * trace
-        y2 = y * y
-        y4 = y2 * y2
-        low = (_A0 + _A1 * y) + y2 * (_A2 + _A3 * y) + y4 * ((_A4 + _A5 * y) + y2 * (_A6 + _A7 * y))
-        high = (_A8 + _A9 * y) + y2 * (_A10 + _A11 * y) + y4 * ((_A12 + _A13 * y) + y2 * _A14)
-        half = 0.5 * (low + y4 * y4 * high)
-        half_angle[j] = half
-        n_large += 1 if half > _LARGE_HALF else 0
-    if n_large > 0:
-        _large_half_angle(pair)
-    rest, inv_rest, kappa = here.rest_voronoi, here.inv_rest_voronoi, here.rest_kappa
-    bend, twist = here.bend, here.twist
-    left, right = here.torque, there.torque
-    for j in range(LANES):
-        f = -half_angle[j] * inv_rest[j]
-        k0 = f * (
-            (q[6, j] * p[3, j] + q[7, j] * p[4, j] + q[8, j] * p[5, j])
-            - (q[3, j] * p[6, j] + q[4, j] * p[7, j] + q[5, j] * p[8, j])
-        )
-        k1 = f * (
-            (q[0, j] * p[6, j] + q[1, j] * p[7, j] + q[2, j] * p[8, j])
-            - (q[6, j] * p[0, j] + q[7, j] * p[1, j] + q[8, j] * p[2, j])
-        )
-        k2 = f * (
-            (q[3, j] * p[0, j] + q[4, j] * p[1, j] + q[5, j] * p[2, j])
-            - (q[0, j] * p[3, j] + q[1, j] * p[4, j] + q[2, j] * p[5, j])
-        )
-        t0, t1, t2 = bend[j] * (k0 - kappa[0, j]), bend[j] * (k1 - kappa[1, j]), twist[j] * (k2 - kappa[2, j])
-        dilatation = 0.5 * (la[j] + lb[j]) * inv_rest[j]
-        cube = 1.0 / (dilatation * dilatation * dilatation)
-        share = 0.5 * cube * rest[j]
-        u0, u1, u2 = (k1 * t2 - k2 * t1) * share, (k2 * t0 - k0 * t2) * share, (k0 * t1 - k1 * t0) * share
-        left[0, j] += u0 + t0 * cube
-        left[1, j] += u1 + t1 * cube
-        left[2, j] += u2 + t2 * cube
-        right[0, j] += u0 - t0 * cube
-        right[1, j] += u1 - t1 * cube
-        right[2, j] += u2 - t2 * cube
+def _exp_tail(y: float) -> float:
+    """Series of (1 - exp(-y)) / y."""
+    y2 = y * y
+    low = fma(y2, fma(_TAIL[3], y, _TAIL[2]), fma(_TAIL[1], y, _TAIL[0]))
+    high = fma(y2, fma(_TAIL[7], y, _TAIL[6]), fma(_TAIL[5], y, _TAIL[4]))
+    return float(fma(y2 * y2, fma(y2 * y2, _TAIL[8], high), low))
 
 
 @compiled_strictly
-def _large_half_angle(pair: Cells) -> None:
+def _large_decay(here: Any, work: Any, symmetric: float | None) -> None:
+    """Write what damping leaves of the spin of element e where the series does not reach."""
+    for j in range(LANES):
+        y = here.spin_decay[j] * work.length[j]
+        if y > _LARGE_DECAY:
+            work.spin_keep[j] = np.exp(-y)
+            if symmetric is not None:
+                work.spin_late[j] = (1.0 - np.exp(-y)) / y
+
+
+@compiled
+def _half_angle(pair: Cells, work: Any) -> None:
+    """Write angle / (2 sin(angle)) between elements e and e + 1."""
+    p, q, half_angle = pair[0].q, pair[1].q, work.half_angle
+    n_large = 0
+    for j in range(LANES):
+        first = _dot(q[0, j], q[1, j], q[2, j], p[0, j], p[1, j], p[2, j])
+        second = _dot(q[3, j], q[4, j], q[5, j], p[3, j], p[4, j], p[5, j])
+        third = _dot(q[6, j], q[7, j], q[8, j], p[6, j], p[7, j], p[8, j])
+        y = fma(-0.25, first + second + third, 0.75)
+        y2 = y * y
+        low = fma(y2, fma(_ARC[3], y, _ARC[2]), fma(_ARC[1], y, _ARC[0]))
+        high = fma(y2, fma(_ARC[7], y, _ARC[6]), fma(_ARC[5], y, _ARC[4]))
+        y4 = y2 * y2
+        half = 0.5 * fma(y4, fma(y4, fma(_ARC[9], y, _ARC[8]), high), low)
+        half_angle[j] = half
+        n_large += 1 if half > _LARGE_HALF else 0
+    if n_large > 0:
+        _large_half_angle(pair, work)
+
+
+@compiled_strictly
+def _large_half_angle(pair: Cells, work: Any) -> None:
     """Write angle / (2 sin(angle)) between elements e and e + 1 into half_angle where the series does not reach."""
     here, there = pair[0], pair[1]
-    p, q, half_angle = here.q, there.q, here.half_angle
+    p, q, half_angle = here.q, there.q, work.half_angle
     for j in range(LANES):
         # By what the series gave: a trace summed anew may round otherwise, and then another lane would decide.
         if half_angle[j] > _LARGE_HALF:
@@ -388,15 +432,15 @@ def _move_node(here: Any, drift: float, loads: float | None, ground: Ground | No
         if ground is not None:
             u0, u1, u2 = v[0, j], v[1, j], v[2, j]
         else:
-            u0 = v[0, j] * keep[j] + force[0, j] * push[j]
-            u1 = v[1, j] * keep[j] + force[1, j] * push[j]
-            u2 = v[2, j] * keep[j] + force[2, j] * push[j]
+            u0 = fma(force[0, j], push[j], v[0, j] * keep[j])
+            u1 = fma(force[1, j], push[j], v[1, j] * keep[j])
+            u2 = fma(force[2, j], push[j], v[2, j] * keep[j])
         f0, f1, f2 = 0.0, 0.0, 0.0
         if loads is not None:
             f0, f1, f2 = load[0, j], load[1, j], load[2, j]
-        v[0, j], x[0, j], force[0, j] = u0, x[0, j] + drift * u0, f0
-        v[1, j], x[1, j], force[1, j] = u1, x[1, j] + drift * u1, f1
-        v[2, j], x[2, j], force[2, j] = u2, x[2, j] + drift * u2, f2
+        v[0, j], x[0, j], force[0, j] = u0, fma(drift, u0, x[0, j]), f0
+        v[1, j], x[1, j], force[1, j] = u1, fma(drift, u1, x[1, j]), f1
+        v[2, j], x[2, j], force[2, j] = u2, fma(drift, u2, x[2, j]), f2
 
 
 @compiled
@@ -457,120 +501,130 @@ def _kick_on_ground(here: Any, ground: Ground, account: Account | None) -> None:
 
 
 @compiled
-def _spin_element(pair: Cells, dt: float, spin_damping: float | None, symmetric: float | None) -> None:
-    """Kick and damp the angular velocity w of element e, which turns faster as the element stretches.
+def _spin_element(
+    pair: Cells,
+    work: Any,
+    after: Any,
+    dt: float,
+    bends: float | None,
+    couples: float | None,
+    spin_damping: float | None,
+    symmetric: float | None,
+) -> None:
+    """Kick and damp the angular velocity w of element e, by the couple of bend and twist to e + 1 if it `bends`.
 
-    Two terms depend on the velocities themselves: J^-1 [(J w) x w], which is (-w1 w2, w0 w2, 0) for J3 = 2 J1 and turns
-    (w0, w1) about d3, and w times the rate of stretch, for J / e bears the spin. PyElastica adds both as they stand
-    before the kick: first order, and (w0, w1) grow longer, which feeds fast spin. The symmetric step turns (w0, w1)
-    halfway through the kick by the mean of w2, and takes half the stretch from before and half from after the kick.
+    The couple's other half is passed on to element e + 1. With u the rotation vector between both elements it is
+    B (u - u_rest) / e^3 and u x that / 2 on either, with e the dilatation of the Voronoi region.
+
+    An element turns faster as it stretches. Two terms depend on the velocities themselves: J^-1 [(J w) x w], which is
+    (-w1 w2, w0 w2, 0) for J3 = 2 J1 and turns (w0, w1) about d3, and w times the rate of stretch, for J / e bears the
+    spin. PyElastica adds both as they stand before the kick: first order, and (w0, w1) grow longer, which feeds fast
+    spin. The symmetric step turns (w0, w1) halfway through the kick by the mean of w2, and takes half the stretch from
+    before and half from after the kick.
     """
     here, there = pair[0], pair[1]
-    if spin_damping is not None:
-        _damp_spin(here, symmetric)
-    w, torque, rate, lean, v0, v1 = here.w, here.torque, here.stretch_rate, here.lean, here.v, there.v
-    dilatation, spin_kick, free, keep, late = here.dilatation, here.spin_kick, here.free, here.spin_keep, here.spin_late
+    p, q, la, lb, half_angle, on = here.q, there.q, work.length, after.length, work.half_angle, after.passed
+    bend, twist, half_inv_rest, rest_turn = here.bend, here.twist, here.half_inv_rest, here.rest_turn
+    w, arm, passed, couple, rate, lean = here.w, work.arm, work.passed, here.couple, work.stretch_rate, work.lean
+    v0, v1, spin_kick, keep, late = here.v, there.v, here.spin_kick, work.spin_keep, work.spin_late
     for j in range(LANES):
+        m0, m1, m2 = arm[0, j] + passed[0, j], arm[1, j] + passed[1, j], passed[2, j]
+        if couples is not None:
+            m0, m1, m2 = m0 + couple[0, j], m1 + couple[1, j], m2 + couple[2, j]
+        if bends is not None:
+            u0 = half_angle[j] * (
+                _dot(q[3, j], q[4, j], q[5, j], p[6, j], p[7, j], p[8, j])
+                - _dot(q[6, j], q[7, j], q[8, j], p[3, j], p[4, j], p[5, j])
+            )
+            u1 = half_angle[j] * (
+                _dot(q[6, j], q[7, j], q[8, j], p[0, j], p[1, j], p[2, j])
+                - _dot(q[0, j], q[1, j], q[2, j], p[6, j], p[7, j], p[8, j])
+            )
+            u2 = half_angle[j] * (
+                _dot(q[0, j], q[1, j], q[2, j], p[3, j], p[4, j], p[5, j])
+                - _dot(q[3, j], q[4, j], q[5, j], p[0, j], p[1, j], p[2, j])
+            )
+            dilatation = (la[j] + lb[j]) * half_inv_rest[j]
+            cube = 1.0 / (dilatation * dilatation * dilatation)
+            across, around = bend[j] * cube, twist[j] * cube
+            t0, t1, t2 = (
+                across * (u0 - rest_turn[0, j]),
+                across * (u1 - rest_turn[1, j]),
+                around * (u2 - rest_turn[2, j]),
+            )
+            u0, u1, u2 = 0.5 * u0, 0.5 * u1, 0.5 * u2
+            z0, z1, z2 = fma(u1, t2, -(u2 * t1)), fma(u2, t0, -(u0 * t2)), fma(u0, t1, -(u1 * t0))
+            m0, m1, m2 = m0 + (z0 + t0), m1 + (z1 + t1), m2 + (z2 + t2)
+            on[0, j], on[1, j], on[2, j] = z0 - t0, z1 - t1, z2 - t2
         w0, w1, w2 = w[0, j], w[1, j], w[2, j]
-        scale = dilatation[j] * spin_kick[j] * free[j]
-        h0, h1, h2 = torque[0, j] * scale, torque[1, j] * scale, 0.5 * torque[2, j] * scale
+        scale = la[j] * spin_kick[j]
+        h0, h1, h2 = m0 * scale, m1 * scale, 0.5 * m2 * scale
         if symmetric is not None:
-            early = free[j] / (1.0 - 0.5 * dt * rate[j])
+            early = 1.0 / fma(-0.5 * dt, rate[j], 1.0)
             a0, a1, a2 = w0 * early, w1 * early, w2 * early
             if spin_damping is not None:
-                across = 0.5 * (1.0 + keep[j]) * late[j]
-                h0, h1, h2 = h0 * across, h1 * across, h2 * late[j]
+                aside = fma(0.5, keep[j], 0.5) * late[j]
+                h0, h1, h2 = h0 * aside, h1 * aside, h2 * late[j]
                 a0, a1, a2 = a0 * keep[j] * keep[j], a1 * keep[j] * keep[j], a2 * keep[j]
-            t = 0.25 * dt * (w2 * early + a2 + h2)
-            s = 2.0 * t / (1.0 + t * t)
-            m0, m1 = a0 + 0.5 * h0, a1 + 0.5 * h1
+            t = 0.25 * dt * (fma(w2, early, a2) + h2)
+            s = 2.0 * t / fma(t, t, 1.0)
+            m0, m1 = fma(0.5, h0, a0), fma(0.5, h1, a1)
             du, dv, dw = v1[0, j] - v0[0, j], v1[1, j] - v0[1, j], v1[2, j] - v0[2, j]
-            grow = 1.0 + 0.5 * dt * (du * lean[0, j] + dv * lean[1, j] + dw * lean[2, j])
-            w[0, j] = (m0 - s * (m1 + t * m0) + 0.5 * h0) * grow
-            w[1, j] = (m1 + s * (m0 - t * m1) + 0.5 * h1) * grow
+            grow = fma(0.5 * dt, _dot(du, dv, dw, lean[0, j], lean[1, j], lean[2, j]), 1.0)
+            w[0, j] = fma(0.5, h0, fma(-s, fma(t, m0, m1), m0)) * grow
+            w[1, j] = fma(0.5, h1, fma(s, fma(-t, m1, m0), m1)) * grow
             w[2, j] = (a2 + h2) * grow
         else:
-            grow, turn = (1.0 + dt * rate[j]) * free[j], dt * w2 * free[j]
-            z0, z1, z2 = w0 * grow - turn * w1 + h0, w1 * grow + turn * w0 + h1, w2 * grow + h2
+            grow, turn = fma(dt, rate[j], 1.0), dt * w2
+            z0, z1, z2 = fma(w0, grow, fma(-turn, w1, h0)), fma(w1, grow, fma(turn, w0, h1)), fma(w2, grow, h2)
             if spin_damping is not None:
                 z0, z1, z2 = z0 * keep[j] * keep[j], z1 * keep[j] * keep[j], z2 * keep[j]
             w[0, j], w[1, j], w[2, j] = z0, z1, z2
 
 
 @compiled
-def _damp_spin(here: Any, symmetric: float | None) -> None:
-    """Share of the spin about d3 that is left after a step, exp(-y), as PyElastica's AnalyticalLinearDamper has it.
-
-    In the symmetric step also the share (1 - exp(-y)) / y that is left of a kick spread over the step.
-    """
-    dilatation, decay, spin_keep, late = here.dilatation, here.spin_decay, here.spin_keep, here.spin_late
-    n_large = 0
-    for j in range(LANES):
-        y = decay[j] * dilatation[j]
-        tail = _exp_tail(y)
-        spin_keep[j] = 1.0 - y * tail
-        if symmetric is not None:
-            late[j] = tail
-        n_large += 1 if y > _LARGE_DECAY else 0
-    if n_large > 0:
-        for j in range(LANES):
-            y = decay[j] * dilatation[j]
-            if y > _LARGE_DECAY:
-                spin_keep[j] = np.exp(-y)
-                if symmetric is not None:
-                    late[j] = (1.0 - np.exp(-y)) / y
-
-
-@compiled
-def _exp_tail(y: float) -> float:
-    """Series of (1 - exp(-y)) / y, exact to rounding for 0 <= y < _LARGE_DECAY."""
-    y2 = y * y
-    low = (1.0 - y / 2) + y2 * ((1 / 6 - y / 24) + y2 * (1 / 120 - y / 720))
-    high = (1 / 5040 - y / 40320) + y2 * ((1 / 362880 - y / 3628800) + y2 * (1 / 39916800 - y / 479001600))
-    return low + y2 * y2 * y2 * high
-
-
-@compiled
-def _rotate_element(here: Any, drift: float) -> None:
+def _rotate_element(here: Any, work: Any, drift: float) -> None:
     """Turn the directors of element e by its angular velocity over `drift` seconds."""
-    q, w, square, sine, versine = here.q, here.w, here.square, here.sine, here.versine
+    q, w, square, sine, versine = here.q, here.w, work.square, work.sine, work.versine
     n_large = 0
     for j in range(LANES):
         a, b, c = drift * w[0, j], drift * w[1, j], drift * w[2, j]
-        t2 = a * a + b * b + c * c
+        t2 = _dot(a, b, c, a, b, c)
         t4 = t2 * t2
-        sine[j] = (1.0 - t2 / 6) + t4 * ((1 / 120 - t2 / 5040) + t4 * ((1 / 362880 - t2 / 39916800) + t4 / 6227020800))
-        versine[j] = (0.5 - t2 / 24) + t4 * (
-            (1 / 720 - t2 / 40320) + t4 * ((1 / 3628800 - t2 / 479001600) + t4 / 87178291200)
-        )
+        low, middle, high = fma(_SINE[1], t2, _SINE[0]), fma(_SINE[3], t2, _SINE[2]), fma(_SINE[5], t2, _SINE[4])
+        sine[j] = fma(t4, fma(t4, high, middle), low)
+        low, middle = fma(_VERSINE[1], t2, _VERSINE[0]), fma(_VERSINE[3], t2, _VERSINE[2])
+        versine[j] = fma(t4, fma(t4, fma(_VERSINE[5], t2, _VERSINE[4]), middle), low)
         square[j] = t2
         n_large += 1 if t2 > _LARGE_T2 else 0
     if n_large > 0:
-        _large_turn(here)
+        _large_turn(work)
     for j in range(LANES):
-        a, b, c, s, k = drift * w[0, j], drift * w[1, j], drift * w[2, j], sine[j], versine[j]
-        r00, r11, r22 = 1 - k * (b * b + c * c), 1 - k * (a * a + c * c), 1 - k * (a * a + b * b)
-        r01, r10 = s * c + k * a * b, -s * c + k * a * b
-        r02, r20 = -s * b + k * a * c, s * b + k * a * c
-        r12, r21 = s * a + k * b * c, -s * a + k * b * c
+        a, b, c, s = drift * w[0, j], drift * w[1, j], drift * w[2, j], sine[j]
+        ka, kb, kc = versine[j] * a, versine[j] * b, versine[j] * c
+        r00, r11, r22 = fma(-kb, b, fma(-kc, c, 1.0)), fma(-ka, a, fma(-kc, c, 1.0)), fma(-ka, a, fma(-kb, b, 1.0))
+        ab, ac, bc = ka * b, ka * c, kb * c
+        r01, r10, r02, r20, r12, r21 = (
+            fma(s, c, ab), fma(-s, c, ab), fma(-s, b, ac), fma(s, b, ac), fma(s, a, bc), fma(-s, a, bc),
+        )  # fmt: skip
         d0, d1, d2 = q[0, j], q[3, j], q[6, j]
-        q[0, j] = r00 * d0 + r01 * d1 + r02 * d2
-        q[3, j] = r10 * d0 + r11 * d1 + r12 * d2
-        q[6, j] = r20 * d0 + r21 * d1 + r22 * d2
+        q[0, j], q[3, j], q[6, j] = (
+            _dot(r00, r01, r02, d0, d1, d2), _dot(r10, r11, r12, d0, d1, d2), _dot(r20, r21, r22, d0, d1, d2),
+        )  # fmt: skip
         d0, d1, d2 = q[1, j], q[4, j], q[7, j]
-        q[1, j] = r00 * d0 + r01 * d1 + r02 * d2
-        q[4, j] = r10 * d0 + r11 * d1 + r12 * d2
-        q[7, j] = r20 * d0 + r21 * d1 + r22 * d2
+        q[1, j], q[4, j], q[7, j] = (
+            _dot(r00, r01, r02, d0, d1, d2), _dot(r10, r11, r12, d0, d1, d2), _dot(r20, r21, r22, d0, d1, d2),
+        )  # fmt: skip
         d0, d1, d2 = q[2, j], q[5, j], q[8, j]
-        q[2, j] = r00 * d0 + r01 * d1 + r02 * d2
-        q[5, j] = r10 * d0 + r11 * d1 + r12 * d2
-        q[8, j] = r20 * d0 + r21 * d1 + r22 * d2
+        q[2, j], q[5, j], q[8, j] = (
+            _dot(r00, r01, r02, d0, d1, d2), _dot(r10, r11, r12, d0, d1, d2), _dot(r20, r21, r22, d0, d1, d2),
+        )  # fmt: skip
 
 
 @compiled_strictly
-def _large_turn(here: Any) -> None:
+def _large_turn(work: Any) -> None:
     """Write sin(t) / t and (1 - cos t) / t^2 where the series of `_rotate_element` do not reach."""
-    square, sine, versine = here.square, here.sine, here.versine
+    square, sine, versine = work.square, work.sine, work.versine
     for j in range(LANES):
         if square[j] > _LARGE_T2:
             t = np.sqrt(square[j])
@@ -579,7 +633,7 @@ def _large_turn(here: Any) -> None:
 
 
 @compiled
-def _half_drift(cells: Cells, block: npt.NDArray[np.int64], drift: float) -> None:
+def _half_drift(cells: Cells, work: Cells, block: npt.NDArray[np.int64], drift: float) -> None:
     """Drift every node and element of every block by `drift` seconds."""
     for b in range(block.shape[0]):
         rods = cells[block[b, 0] : block[b, 1]]
@@ -588,14 +642,15 @@ def _half_drift(cells: Cells, block: npt.NDArray[np.int64], drift: float) -> Non
             x, v = rods[n].x, rods[n].v
             for i in range(3):
                 for j in range(LANES):
-                    x[i, j] += drift * v[i, j]
+                    x[i, j] = fma(drift, v[i, j], x[i, j])
         for e in range(n_elem):
-            _rotate_element(rods[e], drift)
+            _rotate_element(rods[e], work[0], drift)
 
 
 @compiled
 def _step_blocks(
     cells: Cells,
+    work: Cells,
     block: npt.NDArray[np.int64],
     dt: float,
     drift: float,
@@ -613,20 +668,26 @@ def _step_blocks(
     A node is done once the stress on both its sides is known, an element once both its couples are: the pass works
     two records behind its front, while they are still in the first-level cache.
     """
+    mask = work.shape[0] - 1
     for b in range(block.shape[0]):
-        rods = cells[block[b, 0] : block[b, 1]]
+        first = block[b, 0]
+        rods = cells[first : block[b, 1]]
         last = rods.shape[0] - 2
-        _stress(rods[0:2], tension, hill, couples)
+        one = work[first & mask]
+        one.passed[:] = 0.0
+        _stress(rods[0:2], one, tension, hill, spin_damping, symmetric)
         _move_node(rods[0], drift, loads, ground, account)
         for e in range(last):
-            _stress(rods[e + 1 : e + 3], tension, hill, couples)
+            one, two = work[(first + e) & mask], work[(first + e + 1) & mask]
+            _stress(rods[e + 1 : e + 3], two, tension, hill, spin_damping, symmetric)
             _move_node(rods[e + 1], drift, loads, ground, account)
-            _couple(rods[e : e + 2])
-            _spin_element(rods[e : e + 2], dt, spin_damping, symmetric)
-            _rotate_element(rods[e], drift)
+            _half_angle(rods[e : e + 2], one)
+            _spin_element(rods[e : e + 2], one, two, dt, 1.0, couples, spin_damping, symmetric)
+            _rotate_element(rods[e], one, drift)
         _move_node(rods[last + 1], drift, loads, ground, account)
-        _spin_element(rods[last : last + 2], dt, spin_damping, symmetric)
-        _rotate_element(rods[last], drift)
+        one = work[(first + last) & mask]
+        _spin_element(rods[last : last + 2], one, one, dt, None, couples, spin_damping, symmetric)
+        _rotate_element(rods[last], one, drift)
 
 
 @compiled
@@ -919,6 +980,7 @@ def _press(cells: Cells, contact: Contact, pairs: npt.NDArray[np.int64], count: 
 @compiled
 def advance(
     cells: Cells,
+    work: Cells,
     passive: npt.NDArray[np.int64],
     active: npt.NDArray[np.int64],
     joints: Joints,
@@ -939,14 +1001,15 @@ def advance(
     """Advance the assembly in place by n_steps of position Verlet.
 
     `passive` and `active` (muscle) blocks are rows (first record, one past the last). What is None is compiled away.
+    `work` has two records; for an account one for each of `cells` or more, their number a power of two.
     """
     if account is not None:
         _open_account(cells, account)
         _muscle_work(cells, active, account, hill, False, 0.5)
         if lines is not None:
             _line_work(cells, lines, account, hill, False, 0.5)
-    _half_drift(cells, passive, 0.5 * dt)
-    _half_drift(cells, active, 0.5 * dt)
+    _half_drift(cells, work, passive, 0.5 * dt)
+    _half_drift(cells, work, active, 0.5 * dt)
     if ball is not None:
         for i in range(3):
             ball.place[i] += 0.5 * dt * ball.speed[i]
@@ -974,13 +1037,17 @@ def advance(
                 account.total[2] += dt * lost
         if ground is not None:
             _find_axis(cells, ground.axis)
-        _step_blocks(cells, passive, dt, drift, None, None, couples, spin_damping, symmetric, loads, ground, account)
-        _step_blocks(cells, active, dt, drift, 1.0, hill, couples, spin_damping, symmetric, loads, ground, account)
+        _step_blocks(
+            cells, work, passive, dt, drift, None, None, couples, spin_damping, symmetric, loads, ground, account
+        )
+        _step_blocks(
+            cells, work, active, dt, drift, 1.0, hill, couples, spin_damping, symmetric, loads, ground, account
+        )
         if account is not None:
             if joint_damping is not None:
                 _joint_loss(cells, joints, joint_damping, account, dt)
-            _account(cells, passive, account, couples, spin_damping, symmetric, ground, dt)
-            _account(cells, active, account, couples, spin_damping, symmetric, ground, dt)
+            _account(cells, work, passive, account, couples, spin_damping, symmetric, ground, dt)
+            _account(cells, work, active, account, couples, spin_damping, symmetric, ground, dt)
     if account is not None:
         _muscle_work(cells, active, account, hill, True, 0.5)
         if lines is not None:
@@ -1000,6 +1067,7 @@ def _length(pair: Cells, j: int) -> float:
 @compiled
 def _account(
     cells: Cells,
+    work: Cells,
     block: npt.NDArray[np.int64],
     account: Account,
     couples: float | None,
@@ -1038,7 +1106,7 @@ def _account(
                     for j in range(LANES):
                         twist += 0.5 * dt * couple[i, j] * (early[i, j] + w[i, j])
             if spin_damping is not None:
-                lost += _spin_loss(here, early, account.inertia[n], symmetric)
+                lost += _spin_loss(here, work[n], early, account.inertia[n], symmetric)
             for i in range(3):
                 for j in range(LANES):
                     early[i, j] = w[i, j]
@@ -1048,10 +1116,10 @@ def _account(
 
 @compiled
 def _spin_loss(
-    here: Any, early: npt.NDArray[np.float64], inertia: npt.NDArray[np.float64], symmetric: float | None
+    here: Any, work: Any, early: npt.NDArray[np.float64], inertia: npt.NDArray[np.float64], symmetric: float | None
 ) -> float:
     """Energy that damping took from the spin of element e in the step just taken; see `_account`."""
-    w, keep, late, dilatation = here.w, here.spin_keep, here.spin_late, here.dilatation
+    w, keep, late, length, inv_rest = here.w, work.spin_keep, work.spin_late, work.length, here.inv_rest
     lost = 0.0
     for i in range(3):
         for j in range(LANES):
@@ -1063,7 +1131,7 @@ def _spin_loss(
                 after, before = left if i == 2 else left * left, 1.0
             taken = (1.0 / after - 1.0) * w[i, j] * w[i, j] + (1.0 - before) * early[i, j] * early[i, j]
             taken += (1.0 / after - before) * early[i, j] * w[i, j]
-            lost += (1.0 if i == 2 else 0.5) * inertia[j] / dilatation[j] * taken
+            lost += (1.0 if i == 2 else 0.5) * inertia[j] / (length[j] * inv_rest[j]) * taken
     return lost
 
 
@@ -1192,6 +1260,7 @@ def _inspect(
 @entry
 def run(
     cells: Cells,
+    work: Cells,
     passive: npt.NDArray[np.int64],
     active: npt.NDArray[np.int64],
     joints: Joints,
@@ -1214,7 +1283,7 @@ def run(
 ) -> None:
     """Advance all worms as `advance` does, inspect each and write out where the nodes of the sound ones are."""
     advance(
-        cells, passive, active, joints, joint_damping, lines, hill, loads, ground, couples, spin_damping, symmetric,
+        cells, work, passive, active, joints, joint_damping, lines, hill, loads, ground, couples, spin_damping, symmetric,
         ball, contact, account, n_steps, dt,
     )  # fmt: skip
     for worm in range(worms.row.shape[0]):
