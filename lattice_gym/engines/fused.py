@@ -88,10 +88,10 @@ def _fill_lane(cells: kernels.Cells, lane: int, rod: Rod, dt: float) -> None:
     elements["stretch"][:, lane] = rod.stretch_stiffness
     elements["spin_kick"][:, lane] = dt / rod.inertia / rod.rest_length
     elements["spin_decay"][:, lane] = 0.5 * dt * rod.rotational_damping / rod.inertia / rod.rest_length
-    voronoi["half_inv_rest"][:, lane] = 0.5 / rod.rest_voronoi
-    voronoi["bend"][:, lane] = rod.bend_stiffness / rod.rest_voronoi
-    voronoi["twist"][:, lane] = rod.twist_stiffness / rod.rest_voronoi
-    voronoi["rest_turn"][:, :, lane] = rod.rest_kappa * rod.rest_voronoi[:, None]
+    # Together with the cube of twice the rest length, by which the kernel's sum of lengths is to be divided.
+    voronoi["bend"][:, lane] = 16.0 * rod.bend_stiffness * rod.rest_voronoi**2
+    voronoi["twist"][:, lane] = 16.0 * rod.twist_stiffness * rod.rest_voronoi**2
+    voronoi["rest_turn"][:, :, lane] = 0.5 * rod.rest_kappa * rod.rest_voronoi[:, None]
 
 
 def _pack_hill(hill: Hill | None) -> kernels.Hill | None:

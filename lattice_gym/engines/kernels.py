@@ -40,7 +40,7 @@ CELL = _record(
     # element
     q=9, w=3, rest=1, shear=1, stretch=1, spin_kick=1, spin_decay=1,
     # Voronoi region
-    bend=1, twist=1, half_inv_rest=1, rest_turn=3,
+    bend=1, twist=1, rest_turn=3,
     # only where the scene has them
     tension=1, tension_rise=1, inv_rest=1, couple=3, load=3, height=1, rubbed=1,
 )  # fmt: skip
@@ -228,13 +228,21 @@ class Worms(NamedTuple):
     found: npt.NDArray[np.int64]
 
 
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"nsz", "arcp", "afn"}}
+
+
 def compiled(function: Function) -> Function:
     """Compile with no licence to assume that NaN never occurs, for divergence must show, nor to reorder or fuse.
 
     What the compiler unrolls it would order and fuse differently from one half of the lanes to the other, and how a rod
     moves would depend on its lane: products that are to be fused say so, see `fma`.
     """
-    return cast(Function, njit(cache=True, error_model="numpy", fastmath={"nsz", "arcp", "afn"})(function))
+    return cast(Function, njit(**_OPTIONS)(function))
+
+
+def inlined(function: Function) -> Function:
+    """Compile as `compiled` into whatever calls it: an array takes more instructions to pass than a lane to compute."""
+    return cast(Function, njit(**_OPTIONS, forceinline=True)(function))
 
 
 def compiled_strictly(function: Function) -> Function:
@@ -247,10 +255,12 @@ def entry(function: Function) -> Function:
     return cast(Function, njit(cache=True, error_model="numpy", nogil=True)(function))
 
 
-@intrinsic
-def fma(_: Any, a: Any, b: Any, c: Any) -> Any:  # type: ignore[no-untyped-def]
+def _fma(_: Any, a: Any, b: Any, c: Any) -> Any:
     """Return a b + c, rounded once."""
     return float64(float64, float64, float64), lambda context, builder, signature, values: builder.fma(*values)
+
+
+fma = cast(Callable[[float, float, float], float], intrinsic(_fma))
 
 
 def _series(function: Callable[[FloatArray], FloatArray], degree: int, top: float) -> tuple[float, ...]:
@@ -262,7 +272,7 @@ def _series(function: Callable[[FloatArray], FloatArray], degree: int, top: floa
 # Each is exact to rounding up to where it ends. Of y = sin^2(angle / 2), angle / sin(angle) up to 35 degrees:
 _LARGE_Y = 0.09
 _ARC = _series(lambda y: np.arcsin(np.sqrt(y)) / np.sqrt(y * (1.0 - y)), 9, _LARGE_Y)
-_LARGE_HALF = 0.5 * float(np.polynomial.polynomial.polyval(_LARGE_Y, _ARC))
+_LARGE_HALF = 0.25 * float(np.polynomial.polynomial.polyval(_LARGE_Y, _ARC))
 # Of t^2, sin(t) / t and (1 - cos(t)) / t^2:
 _LARGE_T2 = 0.25
 _SINE = _series(lambda t2: np.sin(np.sqrt(t2)) / np.sqrt(t2), 5, _LARGE_T2)
@@ -281,12 +291,12 @@ _FAR_CELL = 1e9
 _LEAST_KEEP = 1e-70
 
 
-@compiled
+@inlined
 def _dot(a0: float, a1: float, a2: float, b0: float, b1: float, b2: float) -> float:
     return float(fma(a2, b2, fma(a1, b1, a0 * b0)))
 
 
-@compiled
+@inlined
 def _hill_factor(dilatation: float, rate: float, hill: Hill) -> float:
     """Force-length times force-velocity of a length over rest length and its rate [1/s].
 
@@ -299,7 +309,7 @@ def _hill_factor(dilatation: float, rate: float, hill: Hill) -> float:
     return float(np.exp(-reach * reach) * upper / ((1.0 - slow * hill.inv_curvature) * (1.0 + fast)))
 
 
-@compiled
+@inlined
 def _stress(
     pair: Cells,
     work: Any,
@@ -366,7 +376,7 @@ def _stress(
         _large_decay(here, work, symmetric)
 
 
-@compiled
+@inlined
 def _exp_tail(y: float) -> float:
     """Series of (1 - exp(-y)) / y."""
     y2 = y * y
@@ -386,9 +396,9 @@ def _large_decay(here: Any, work: Any, symmetric: float | None) -> None:
                 work.spin_late[j] = (1.0 - np.exp(-y)) / y
 
 
-@compiled
+@inlined
 def _half_angle(pair: Cells, work: Any) -> None:
-    """Write angle / (2 sin(angle)) between elements e and e + 1."""
+    """Write angle / (4 sin(angle)) between elements e and e + 1."""
     p, q, half_angle = pair[0].q, pair[1].q, work.half_angle
     n_large = 0
     for j in range(LANES):
@@ -400,7 +410,7 @@ def _half_angle(pair: Cells, work: Any) -> None:
         low = fma(y2, fma(_ARC[3], y, _ARC[2]), fma(_ARC[1], y, _ARC[0]))
         high = fma(y2, fma(_ARC[7], y, _ARC[6]), fma(_ARC[5], y, _ARC[4]))
         y4 = y2 * y2
-        half = 0.5 * fma(y4, fma(y4, fma(_ARC[9], y, _ARC[8]), high), low)
+        half = 0.25 * fma(y4, fma(y4, fma(_ARC[9], y, _ARC[8]), high), low)
         half_angle[j] = half
         n_large += 1 if half > _LARGE_HALF else 0
     if n_large > 0:
@@ -409,7 +419,7 @@ def _half_angle(pair: Cells, work: Any) -> None:
 
 @compiled_strictly
 def _large_half_angle(pair: Cells, work: Any) -> None:
-    """Write angle / (2 sin(angle)) between elements e and e + 1 into half_angle where the series does not reach."""
+    """Write angle / (4 sin(angle)) between elements e and e + 1 into half_angle where the series does not reach."""
     here, there = pair[0], pair[1]
     p, q, half_angle = here.q, there.q, work.half_angle
     for j in range(LANES):
@@ -419,10 +429,10 @@ def _large_half_angle(pair: Cells, work: Any) -> None:
             for i in range(9):
                 trace += q[i, j] * p[i, j]
             y = min(0.75 - 0.25 * trace, 1.0 - 1e-15)
-            half_angle[j] = 0.5 * np.arcsin(np.sqrt(y)) / np.sqrt(y * (1.0 - y))
+            half_angle[j] = 0.25 * np.arcsin(np.sqrt(y)) / np.sqrt(y * (1.0 - y))
 
 
-@compiled
+@inlined
 def _move_node(here: Any, drift: float, loads: float | None, ground: Ground | None, account: Account | None) -> None:
     """Kick, damp and drift node n, and reset its force to its constant load for the next step."""
     x, v, force, push, keep, load = here.x, here.v, here.force, here.push, here.keep, here.load
@@ -457,7 +467,7 @@ def _find_axis(cells: Cells, axis: Axis | None) -> None:
         axis.along[:] /= np.sqrt(square)
 
 
-@compiled
+@inlined
 def _resisted(u0: float, u1: float, ground: Ground, axis: Axis | None) -> float:
     """Speed of a slip times the factor that friction has in its direction, see `world.Ground`."""
     a, b = u0, u1
@@ -471,7 +481,7 @@ def _resisted(u0: float, u1: float, ground: Ground, axis: Axis | None) -> float:
     return float(np.sqrt(a * a + b * b))
 
 
-@compiled
+@inlined
 def _kick_on_ground(here: Any, ground: Ground, account: Account | None) -> None:
     """Kick and damp node n, borne and held back by the ground.
 
@@ -500,12 +510,13 @@ def _kick_on_ground(here: Any, ground: Ground, account: Account | None) -> None:
         v[0, j], v[1, j], v[2, j] = left * u0, left * u1, u2
 
 
-@compiled
+@inlined
 def _spin_element(
     pair: Cells,
     work: Any,
     after: Any,
     dt: float,
+    drift: float,
     bends: float | None,
     couples: float | None,
     spin_damping: float | None,
@@ -513,8 +524,8 @@ def _spin_element(
 ) -> None:
     """Kick and damp the angular velocity w of element e, by the couple of bend and twist to e + 1 if it `bends`.
 
-    The couple's other half is passed on to element e + 1. With u the rotation vector between both elements it is
-    B (u - u_rest) / e^3 and u x that / 2 on either, with e the dilatation of the Voronoi region.
+    What it does to element e + 1 is passed on. With 2 u the rotation vector between both elements, t = 2 B (u - u_rest)
+    / (rest e^3), e the dilatation of the Voronoi region, the couple on element e is u x t + t, on e + 1 u x t - t.
 
     An element turns faster as it stretches. Two terms depend on the velocities themselves: J^-1 [(J w) x w], which is
     (-w1 w2, w0 w2, 0) for J3 = 2 J1 and turns (w0, w1) about d3, and w times the rate of stretch, for J / e bears the
@@ -524,9 +535,10 @@ def _spin_element(
     """
     here, there = pair[0], pair[1]
     p, q, la, lb, half_angle, on = here.q, there.q, work.length, after.length, work.half_angle, after.passed
-    bend, twist, half_inv_rest, rest_turn = here.bend, here.twist, here.half_inv_rest, here.rest_turn
+    bend, twist, rest_turn = here.bend, here.twist, here.rest_turn
     w, arm, passed, couple, rate, lean = here.w, work.arm, work.passed, here.couple, work.stretch_rate, work.lean
     v0, v1, spin_kick, keep, late = here.v, there.v, here.spin_kick, work.spin_keep, work.spin_late
+    square, sine, versine, n_large = work.square, work.sine, work.versine, 0
     for j in range(LANES):
         m0, m1, m2 = arm[0, j] + passed[0, j], arm[1, j] + passed[1, j], passed[2, j]
         if couples is not None:
@@ -544,15 +556,14 @@ def _spin_element(
                 _dot(q[0, j], q[1, j], q[2, j], p[3, j], p[4, j], p[5, j])
                 - _dot(q[3, j], q[4, j], q[5, j], p[0, j], p[1, j], p[2, j])
             )
-            dilatation = (la[j] + lb[j]) * half_inv_rest[j]
-            cube = 1.0 / (dilatation * dilatation * dilatation)
+            reach = la[j] + lb[j]
+            cube = 1.0 / (reach * reach * reach)
             across, around = bend[j] * cube, twist[j] * cube
             t0, t1, t2 = (
                 across * (u0 - rest_turn[0, j]),
                 across * (u1 - rest_turn[1, j]),
                 around * (u2 - rest_turn[2, j]),
             )
-            u0, u1, u2 = 0.5 * u0, 0.5 * u1, 0.5 * u2
             z0, z1, z2 = fma(u1, t2, -(u2 * t1)), fma(u2, t0, -(u0 * t2)), fma(u0, t1, -(u1 * t0))
             m0, m1, m2 = m0 + (z0 + t0), m1 + (z1 + t1), m2 + (z2 + t2)
             on[0, j], on[1, j], on[2, j] = z0 - t0, z1 - t1, z2 - t2
@@ -571,34 +582,42 @@ def _spin_element(
             m0, m1 = fma(0.5, h0, a0), fma(0.5, h1, a1)
             du, dv, dw = v1[0, j] - v0[0, j], v1[1, j] - v0[1, j], v1[2, j] - v0[2, j]
             grow = fma(0.5 * dt, _dot(du, dv, dw, lean[0, j], lean[1, j], lean[2, j]), 1.0)
-            w[0, j] = fma(0.5, h0, fma(-s, fma(t, m0, m1), m0)) * grow
-            w[1, j] = fma(0.5, h1, fma(s, fma(-t, m1, m0), m1)) * grow
-            w[2, j] = (a2 + h2) * grow
+            z0 = fma(0.5, h0, fma(-s, fma(t, m0, m1), m0)) * grow
+            z1 = fma(0.5, h1, fma(s, fma(-t, m1, m0), m1)) * grow
+            z2 = (a2 + h2) * grow
         else:
             grow, turn = fma(dt, rate[j], 1.0), dt * w2
             z0, z1, z2 = fma(w0, grow, fma(-turn, w1, h0)), fma(w1, grow, fma(turn, w0, h1)), fma(w2, grow, h2)
             if spin_damping is not None:
-                z0, z1, z2 = z0 * keep[j] * keep[j], z1 * keep[j] * keep[j], z2 * keep[j]
-            w[0, j], w[1, j], w[2, j] = z0, z1, z2
-
-
-@compiled
-def _rotate_element(here: Any, work: Any, drift: float) -> None:
-    """Turn the directors of element e by its angular velocity over `drift` seconds."""
-    q, w, square, sine, versine = here.q, here.w, work.square, work.sine, work.versine
-    n_large = 0
-    for j in range(LANES):
-        a, b, c = drift * w[0, j], drift * w[1, j], drift * w[2, j]
-        t2 = _dot(a, b, c, a, b, c)
-        t4 = t2 * t2
-        low, middle, high = fma(_SINE[1], t2, _SINE[0]), fma(_SINE[3], t2, _SINE[2]), fma(_SINE[5], t2, _SINE[4])
-        sine[j] = fma(t4, fma(t4, high, middle), low)
-        low, middle = fma(_VERSINE[1], t2, _VERSINE[0]), fma(_VERSINE[3], t2, _VERSINE[2])
-        versine[j] = fma(t4, fma(t4, fma(_VERSINE[5], t2, _VERSINE[4]), middle), low)
-        square[j] = t2
-        n_large += 1 if t2 > _LARGE_T2 else 0
+                aside = keep[j] * keep[j]
+                z0, z1, z2 = z0 * aside, z1 * aside, z2 * keep[j]
+        w[0, j], w[1, j], w[2, j] = z0, z1, z2
+        square[j], sine[j], versine[j] = _turn(z0, z1, z2, drift)
+        n_large += 1 if square[j] > _LARGE_T2 else 0
     if n_large > 0:
         _large_turn(work)
+
+
+@inlined
+def _turn(w0: float, w1: float, w2: float, drift: float) -> tuple[float, float, float]:
+    """Square of the angle t that an element turns by, sin(t) / t and (1 - cos(t)) / t^2, where the series reach."""
+    a, b, c = drift * w0, drift * w1, drift * w2
+    t2 = _dot(a, b, c, a, b, c)
+    t4 = t2 * t2
+    low, middle, high = fma(_SINE[1], t2, _SINE[0]), fma(_SINE[3], t2, _SINE[2]), fma(_SINE[5], t2, _SINE[4])
+    sine = fma(t4, fma(t4, high, middle), low)
+    low, middle, high = (
+        fma(_VERSINE[1], t2, _VERSINE[0]),
+        fma(_VERSINE[3], t2, _VERSINE[2]),
+        fma(_VERSINE[5], t2, _VERSINE[4]),
+    )
+    return t2, sine, fma(t4, fma(t4, high, middle), low)
+
+
+@inlined
+def _rotate_element(here: Any, work: Any, drift: float) -> None:
+    """Turn the directors of element e by its angular velocity over `drift` seconds."""
+    q, w, sine, versine = here.q, here.w, work.sine, work.versine
     for j in range(LANES):
         a, b, c, s = drift * w[0, j], drift * w[1, j], drift * w[2, j], sine[j]
         ka, kb, kc = versine[j] * a, versine[j] * b, versine[j] * c
@@ -632,6 +651,17 @@ def _large_turn(work: Any) -> None:
             versine[j] = 2.0 * np.sin(0.5 * t) ** 2 / square[j]
 
 
+@inlined
+def _foresee_turn(here: Any, work: Any, drift: float) -> None:
+    """Note what the turn of element e over `drift` seconds is made of."""
+    w, square, sine, versine, n_large = here.w, work.square, work.sine, work.versine, 0
+    for j in range(LANES):
+        square[j], sine[j], versine[j] = _turn(w[0, j], w[1, j], w[2, j], drift)
+        n_large += 1 if square[j] > _LARGE_T2 else 0
+    if n_large > 0:
+        _large_turn(work)
+
+
 @compiled
 def _half_drift(cells: Cells, work: Cells, block: npt.NDArray[np.int64], drift: float) -> None:
     """Drift every node and element of every block by `drift` seconds."""
@@ -644,10 +674,11 @@ def _half_drift(cells: Cells, work: Cells, block: npt.NDArray[np.int64], drift: 
                 for j in range(LANES):
                     x[i, j] = fma(drift, v[i, j], x[i, j])
         for e in range(n_elem):
+            _foresee_turn(rods[e], work[0], drift)
             _rotate_element(rods[e], work[0], drift)
 
 
-@compiled
+@inlined
 def _step_blocks(
     cells: Cells,
     work: Cells,
@@ -682,15 +713,15 @@ def _step_blocks(
             _stress(rods[e + 1 : e + 3], two, tension, hill, spin_damping, symmetric)
             _move_node(rods[e + 1], drift, loads, ground, account)
             _half_angle(rods[e : e + 2], one)
-            _spin_element(rods[e : e + 2], one, two, dt, 1.0, couples, spin_damping, symmetric)
+            _spin_element(rods[e : e + 2], one, two, dt, drift, 1.0, couples, spin_damping, symmetric)
             _rotate_element(rods[e], one, drift)
         _move_node(rods[last + 1], drift, loads, ground, account)
         one = work[(first + last) & mask]
-        _spin_element(rods[last : last + 2], one, one, dt, None, couples, spin_damping, symmetric)
+        _spin_element(rods[last : last + 2], one, one, dt, drift, None, couples, spin_damping, symmetric)
         _rotate_element(rods[last], one, drift)
 
 
-@compiled
+@inlined
 def _apply_joints(cells: Cells, joints: Joints, damping: npt.NDArray[np.float64] | None) -> None:
     """Add each joint's spring (and dashpot, where the scene has one) to the forces on its two nodes."""
     for n in range(joints.cell_a.shape[0]):
@@ -703,7 +734,7 @@ def _apply_joints(cells: Cells, joints: Joints, damping: npt.NDArray[np.float64]
             b.force[i, lb] -= force
 
 
-@compiled
+@inlined
 def _apply_lines(cells: Cells, lines: Lines, hill: Hill | None) -> None:
     """Pull each line's two nodes together by its tension and by E A (e - 1) / e, the force of a stretched rod."""
     for n in range(lines.cell_a.shape[0]):
