@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -68,6 +68,13 @@ def _place(model: RodModel, n_worm: int) -> _Placement:
             n_cell += n_elem + 1
     passive, active = (np.array(bounds[kind], np.int64).reshape(-1, 2) for kind in (False, True))
     return _Placement(rod_cell, rod_lane, passive, active, n_cell)
+
+
+def n_record(model: RodModel, n_worm: int) -> int:
+    """Count the records that worms side by side take."""
+    muscles = set(model.muscles)
+    rods = Counter((index in muscles, rod.n_elem) for index, rod in enumerate(model.rods))
+    return sum(-(-count * n_worm // kernels.LANES) * (n_elem + 1) for (_, n_elem), count in rods.items())
 
 
 def _aligned(dtype: np.dtype[np.void], count: int) -> kernels.Cells:

@@ -321,8 +321,8 @@ def _stress(
     """Stretch and shear of element e: add its force to both nodes, set its torque (material frame) without twist.
 
     With t the tangent, e the dilatation and S, B the stiffness against shear and stretch the force is
-    Q^T diag(S, S, B) (e Q t - d3) / e = S t + [B (e d3.t - 1) - S e d3.t] / e d3, for both directions of shear are alike,
-    and its torque Q t x n has no third component.
+    Q^T diag(S, S, B) (e Q t - d3) / e = S t + [B (e d3.t - 1) - S e d3.t] / e d3, as both directions of shear are
+    alike, and its torque Q t x n has no third component.
     """
     here, there = pair[0], pair[1]
     x0, x1, v0, v1, q, f0, f1 = here.x, there.x, here.v, there.v, here.q, here.force, there.force
@@ -1314,8 +1314,8 @@ def run(
 ) -> None:
     """Advance all worms as `advance` does, inspect each and write out where the nodes of the sound ones are."""
     advance(
-        cells, work, passive, active, joints, joint_damping, lines, hill, loads, ground, couples, spin_damping, symmetric,
-        ball, contact, account, n_steps, dt,
+        cells, work, passive, active, joints, joint_damping, lines, hill, loads, ground, couples, spin_damping,
+        symmetric, ball, contact, account, n_steps, dt,
     )  # fmt: skip
     for worm in range(worms.row.shape[0]):
         code, found = _inspect(cells, worms, worm, min_dilatation, max_dilatation, joints, lines)
