@@ -297,7 +297,7 @@ def _thread_count(num_threads: int | None) -> int:
 def _pack_count(model: RodModel, n_worm: int, n_thread: int) -> int:
     """Find into how many packs worms go: what the busiest thread has to step through is to be least.
 
-    Few worms leave lanes spare, and more than a cache holds are slower than that: by 15 % at twice the size.
+    Few worms leave lanes spare; more than a core's cache holds wait for it.
     """
     best, least = n_worm, math.inf
     for size in range(1, -(-n_worm // n_thread) + 1):
