@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
 from pathlib import Path
+
+from lattice_gym.engines import kernels
 
 
 def test_no_index_leaves_its_array(tmp_path: Path) -> None:
@@ -43,3 +46,15 @@ def test_no_index_leaves_its_array(tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+
+
+def test_no_edit_runs_stale_machine_code() -> None:
+    """Numba's cache is as old as this one file: nothing that is compiled in may come from another of ours."""
+    source = Path(kernels.__file__).read_text()
+    imported = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            imported |= {name.name.split(".")[0] for name in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported.add("." if node.level else str(node.module).split(".")[0])
+    assert imported == {"__future__", "collections", "typing", "numpy", "numba"}

@@ -4,6 +4,7 @@ Rods with the same element count stand side by side in `LANES` lanes of one *blo
 node n, element n and the Voronoi region between elements n and n + 1 of each of its rods. Every field of the
 structured dtype has a compile-time offset, so LLVM proves that fields do not alias and turns each
 `for j in range(LANES)` loop into packed instructions. A spare lane holds a copy of a rod that neither moves nor turns.
+No lane feels another: rods of several worms share blocks, and each moves to the last bit as in any other company.
 
 The equations are those of Gazzola et al. 2018 (R. Soc. Open Sci. 5:171628) as PyElastica 1.0.0 discretises them:
 circular sections (so J3 = 2 J1), linear elasticity, volume-preserving stretch. Within a step, in this order: weights
@@ -47,18 +48,9 @@ CELL = _record(
 """One record of a block."""
 
 WORK = _record(
-    arm=2,
-    passed=3,
-    length=1,
-    stretch_rate=1,
-    lean=3,
-    spin_keep=1,
-    spin_late=1,
-    half_angle=1,
-    square=1,
-    sine=1,
-    versine=1,
-)
+    arm=2, passed=3, length=1, stretch_rate=1, lean=3, spin_keep=1, spin_late=1, half_angle=1,
+    square=1, sine=1, versine=1,
+)  # fmt: skip
 """What is known of an element within a step. Two records are enough to step with: they stay in the fastest memory."""
 
 Cells = npt.NDArray[Any]
@@ -481,7 +473,7 @@ def _resisted(u0: float, u1: float, ground: Ground, axis: Axis | None) -> float:
     return float(np.sqrt(a * a + b * b))
 
 
-@inlined
+@compiled
 def _kick_on_ground(here: Any, ground: Ground, account: Account | None) -> None:
     """Kick and damp node n, borne and held back by the ground.
 
