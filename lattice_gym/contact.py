@@ -6,8 +6,9 @@ rods. Where two overlap by a depth, with u_n the speed at which the nearest poin
     N = max(0, stiffness depth - damping u_n)
 
 acts on either along the line through these points, shared between its two nodes by the lever rule: momentum and angular
-momentum close. There is no friction. Two elements that overlap at rest never touch: where rods cross they are joined,
-and lie in each other. A rod does not touch itself, and muscles, which lie on the crossings, touch nothing.
+momentum close. There is no friction. Where rods cross they are joined, and lie in each other: elements of joined rods
+that are near each other at rest never touch, see `MARGIN`, nor do any that overlap at rest. A rod does not touch itself,
+and muscles, which lie on the crossings, touch nothing.
 
 At a node two elements meet, so that rods which touch node on node are held by four such pairs, within elements by one.
 Once centre lines have crossed, the push is the other way: the law holds as long as depths stay below the reach.
@@ -23,6 +24,21 @@ from lattice_gym.model import RodModel
 PARALLEL = 1e-8
 """Square of the sine of the angle between two elements below which they touch in the middle of where they run along
 each other: the nearest points are lost in rounding there."""
+
+MARGIN = 0.61
+"""How much further apart than their radii elements of joined rods must be at rest to touch at all, over the radii.
+
+Nearer than that they belong to a crossing, where contact is switched off. At a margin of 0 the first elements beyond a
+crossing touch as soon as it closes by any angle, and how much that stiffens it is a matter of the mesh. From here on a
+crossing must close until its rods come 1.61 times as near, of which a mesh sees the same. No round number: elements
+often lie at simple multiples of a radius, and rounding would then decide which of them touch.
+"""
+
+_ROUNDING = 1e-9
+"""Depth of overlap over the radii that counts as none at rest."""
+
+_AT_A_TIME = 100_000
+"""Pairs that are tried together: some tens of megabytes."""
 
 
 def nearest(a: FloatArray, along_a: FloatArray, b: FloatArray, along_b: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -76,33 +92,57 @@ def depths(model: RodModel, position: FloatArray, pairs: IntArray) -> FloatArray
     i, j = pairs.T
     s, t = nearest(start[i], side[i], start[j], side[j])
     distance = np.linalg.norm(start[i] + s[:, None] * side[i] - start[j] - t[:, None] * side[j], axis=1)
-    depth: FloatArray = model.element_radius[i] + model.element_radius[j] - distance
+    depth: FloatArray = reaches(model, pairs) - distance
     return depth
 
 
-def overlapping(model: RodModel, position: FloatArray) -> IntArray:
+def reaches(model: RodModel, pairs: IntArray) -> FloatArray:
+    """Radii of each pair of elements together [m], shape (n_pair,)."""
+    reach: FloatArray = model.element_radius[pairs].sum(axis=1)
+    return reach
+
+
+def overlapping(model: RodModel, position: FloatArray, margin: float = 0.0) -> IntArray:
     """Pairs of touchable elements of different rods that overlap, shape (n_pair, 2): first < second, sorted.
 
-    Sorted by their place along the longest side of the assembly, elements are tried with those near them on it.
+    With a margin also those nearer than 1 + `margin` times their radii. Sorted by their place along the longest side of
+    the assembly, elements are tried with those near them on it, some at a time to bound the memory.
     """
     element, rod = touchable(model), rod_of(model)
     lower = element + rod[element]
     middle = 0.5 * (position[lower] + position[lower + 1])
     if not np.isfinite(middle).all() or len(element) == 0:
         return np.zeros((0, 2), np.int64)
-    size = np.linalg.norm(position[lower + 1] - position[lower], axis=1) + 2.0 * model.element_radius[element]
+    reach = (1.0 + margin) * model.element_radius[element]
+    size = 0.5 * np.linalg.norm(position[lower + 1] - position[lower], axis=1) + reach
     along = middle[:, np.argmax(np.ptp(middle, axis=0))]
     order = np.argsort(along)
-    count = np.searchsorted(along[order], along[order] + size.max(), side="right") - np.arange(len(order)) - 1
-    before = np.repeat(np.arange(len(order)), count)
-    after = before + 1 + np.arange(len(before)) - np.repeat(np.cumsum(count) - count, count)
-    pairs = np.sort(element[order[np.stack([before, after], axis=1)]], axis=1)
-    pairs = pairs[rod[pairs[:, 0]] != rod[pairs[:, 1]]]
-    pairs = pairs[depths(model, position, pairs) > 0.0]
-    found: IntArray = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    return found
+    last = np.searchsorted(along[order], along[order] + 2.0 * size.max(), side="right")
+    found = []
+    for rows in np.array_split(np.arange(len(order)), 1 + int((last - np.arange(len(order))).sum()) // _AT_A_TIME):
+        count = last[rows] - rows - 1
+        before = np.repeat(rows, count)
+        after = before + 1 + np.arange(len(before)) - np.repeat(np.cumsum(count) - count, count)
+        a, b = order[before], order[after]
+        near = np.sum((middle[a] - middle[b]) ** 2, axis=1) <= (size[a] + size[b]) ** 2
+        near &= rod[element[a]] != rod[element[b]]
+        a, b = a[near], b[near]
+        pairs = np.sort(np.stack([element[a], element[b]], axis=1), axis=1)
+        found.append(pairs[depths(model, position, pairs) > -margin * reaches(model, pairs)])
+    every: IntArray = np.concatenate(found)
+    return every[np.lexsort((every[:, 1], every[:, 0]))]
 
 
 def excluded(model: RodModel) -> IntArray:
-    """Pairs of elements that overlap at rest, and so never touch, as `overlapping` has them."""
-    return overlapping(model, model.rest_state().position)
+    """Pairs of elements that never touch, as `overlapping` has them.
+
+    That is, at rest: those of joined rods that are nearer than 1 + `MARGIN` times their radii, and of other rods those
+    that overlap by more than rounding.
+    """
+    position, rod = model.rest_state().position, rod_of(model)
+    near = overlapping(model, position, MARGIN)
+    joints = np.array([[joint.rod_a, joint.rod_b] for joint in model.joints], np.int64).reshape(-1, 2)
+    number = [model.n_rod, 1]
+    joined = np.isin(np.sort(rod[near], axis=1) @ number, np.sort(joints, axis=1) @ number)
+    never: IntArray = near[joined | (depths(model, position, near) > _ROUNDING * reaches(model, near))]
+    return never

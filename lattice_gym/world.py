@@ -160,9 +160,10 @@ class Bolus(Part):
 class Contact(Part):
     """Rods push at each other where they come to overlap, without friction; see `lattice_gym.contact`.
 
-    Muscles touch nothing, a rod does not touch itself, and elements that overlap at rest, as all do near a crossing,
-    never touch. The defaults keep rods of the default worm nine tenths of their radii apart where its compression
-    muscles pull with 2 N, four times their strength, and shorten its stable step by three tenths.
+    Muscles touch nothing, a rod does not touch itself, and where rods cross they are joined: elements that are near
+    each other at rest there never touch (`contact.MARGIN`). So it acts on the default worm only beyond the strength of
+    its muscles. Where those that compress it pull with 3 N, six times their strength, the defaults keep what may touch
+    nineteen twentieths of its radii apart.
     """
 
     bounds: ClassVar[Bounds] = {"stiffness": (1e-6, 1e9, "N/m"), "damping": (0.0, 1e6, "N s/m")}

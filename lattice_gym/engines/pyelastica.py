@@ -232,7 +232,8 @@ class _SelfContact(NoForces[CosseratRod]):
         rod = np.repeat(np.arange(model.n_rod), [len(made.rest_lengths) for made in rods])
         solid = ~np.isin(rod, model.muscles)
         pairs: IntArray = np.argwhere(solid[:, None] & solid & (rod[:, None] < rod))
-        pairs = pairs[contact.depths(model, model.rest_state().position, pairs) <= 0.0]
+        number = [model.n_elem, 1]
+        pairs = pairs[~np.isin(pairs @ number, contact.excluded(model) @ number)]
         self.pairs = pairs[:, 0], pairs[:, 1]
 
     def apply_forces(self, system: CosseratRod, time: np.float64 = _START) -> None:
