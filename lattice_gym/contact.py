@@ -7,11 +7,13 @@ rods. Where two overlap by a depth, with u_n the speed at which the nearest poin
 
 acts on either along the line through these points, shared between its two nodes by the lever rule: momentum and angular
 momentum close. There is no friction. Where rods cross they are joined, and lie in each other: elements of joined rods
-that are near each other at rest never touch, see `MARGIN`, nor do any that overlap at rest. A rod does not touch itself,
-and muscles, which lie on the crossings, touch nothing.
+that are near each other at rest never touch, see `MARGIN`, nor do any that overlap at rest. A rod does not touch
+itself, and muscles, which lie on the crossings, touch nothing.
 
 At a node two elements meet, so that rods which touch node on node are held by four such pairs, within elements by one.
-Once centre lines have crossed, the push is the other way: the law holds as long as depths stay below the reach.
+The nearest point of rods that are all but parallel jumps from end to end of an element as they tilt: the energy is
+then continuous, but not the force's lever. Once centre lines have crossed, the push is the other way: the law holds as
+long as depths stay below the reach.
 """
 
 from __future__ import annotations
@@ -21,17 +23,19 @@ import numpy as np
 from lattice_gym.design import FloatArray, IntArray
 from lattice_gym.model import RodModel
 
-PARALLEL = 1e-8
+PARALLEL = 1e-12
 """Square of the sine of the angle between two elements below which they touch in the middle of where they run along
-each other: the nearest points are lost in rounding there."""
+each other: the nearest points are lost in rounding there. Depths jump by that sine times a length, and energy with
+them, so that the bound has to be this small."""
 
 MARGIN = 0.61
 """How much further apart than their radii elements of joined rods must be at rest to touch at all, over the radii.
 
-Nearer than that they belong to a crossing, where contact is switched off. At a margin of 0 the first elements beyond a
-crossing touch as soon as it closes by any angle, and how much that stiffens it is a matter of the mesh. From here on a
-crossing must close until its rods come 1.61 times as near, of which a mesh sees the same. No round number: elements
-often lie at simple multiples of a radius, and rounding would then decide which of them touch.
+Nearer than that they belong to a crossing, where contact is switched off: it must close until rods come 1.61 times as
+near before they touch. At a margin of 0 the first elements beyond a crossing touch as soon as it closes by any angle,
+and how much that stiffens it is a matter of the mesh. As whole elements are left out, the mesh still shows where rods
+press each other: by where beyond a crossing the first element begins. No round number: elements often lie at simple
+multiples of a radius, and rounding would then decide which of them touch.
 """
 
 _ROUNDING = 1e-9

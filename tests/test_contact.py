@@ -289,7 +289,7 @@ WHOLE = st.lists(st.integers(-3, 3), min_size=12, max_size=12)
 
 
 @settings(deadline=None, max_examples=300)
-@given(WHOLE, st.sampled_from([0.0, 1e-6, 0.3]), st.integers(0, 1000))
+@given(WHOLE, st.sampled_from([0.0, 1e-7, 1e-5, 0.3]), st.integers(0, 1000))
 def test_nearest_points(whole: list[int], noise: float, seed: int) -> None:
     """Compiled code and numpy by two ways; no sample of the segments is nearer. Parallel ones are among them."""
     rng = np.random.default_rng(seed)
@@ -300,12 +300,15 @@ def test_nearest_points(whole: list[int], noise: float, seed: int) -> None:
     distance = np.linalg.norm(a + s * (p - a) - b - t * (q - b))
     s2, t2, *gap, square = kernels._nearest(ends, 0, 1)
     assert np.linalg.norm(a + s2 * (p - a) - b - t2 * (q - b) - gap) < 1e-12
-    assert np.sqrt(square) == pytest.approx(distance, abs=1e-7)
-    assert (s2, t2) == pytest.approx((s, t), abs=1e-6)
+    lengths = np.linalg.norm(p - a) + np.linalg.norm(q - b)
+    sine = np.linalg.norm(np.cross(p - a, q - b)) / (np.linalg.norm(p - a) * np.linalg.norm(q - b))
+    # Segments that count as parallel, or do for one of both, are nearest in their middle, to their slant.
+    slack = 1e-6 * lengths if sine < 2e-6 else 1e-9 * lengths
+    assert np.sqrt(square) == pytest.approx(distance, abs=1e-7 + slack)
+    if sine == 0.0 or sine > 1e-4:
+        assert (s2, t2) == pytest.approx((s, t), abs=1e-6)
     grid = np.linspace(0.0, 1.0, 21)
     first, second = a + grid[:, None] * (p - a), b + grid[:, None] * (q - b)
-    # Segments that count as parallel are nearest in their middle, to their slant.
-    slack = 1e-12 if np.linalg.norm(np.cross(p - a, q - b)) > 1e-3 else 1e-3
     assert distance <= np.linalg.norm(first[:, None] - second, axis=2).min() + slack
 
 
@@ -356,6 +359,21 @@ def test_the_ledger_balances(engine_name: EngineName) -> None:
         left.append(abs(entry.residual) / entry.scale)
     assert left[0] < 3e-3
     assert left[2] < 0.5 * left[0]
+
+
+def test_side_by_side_no_energy_comes_from_nowhere(engine_name: EngineName) -> None:
+    """An undamped collision of parallel rods that tilt as they touch: to the sine at which they count as parallel.
+
+    A depth that jumps by the sine times half an element, over a depth of 1 mm, would show at a sine of 1e-4.
+    """
+    model, dt = crossing(1e-3, 0.01, 0.002, 0.0), 1e-5
+    engine = make_engine(engine_name, model, dt, energy_check=True)
+    engine.restore(moved(model, 1, 0.0, (0.0, 0.0, -0.2)))
+    for _ in range(8):
+        assert engine.advance([], round(0.002 / dt)).ok
+        entry = engine.ledger
+        assert entry is not None
+        assert abs(entry.residual) < 3e-4 * entry.scale
 
 
 def stack(n_rod: int, damping: float) -> tuple[RodModel, RodState]:
