@@ -326,6 +326,57 @@ def test_cost_grows_with_size() -> None:
     assert 8.0 <= kept[1] / kept[0] < 14.0
 
 
+def crowd(tables: kernels.Contact) -> int:
+    """Elements in one list of the grid's table, at most."""
+    most = 0
+    for element in tables.head.tolist():
+        size = 0
+        while element >= 0:
+            size, element = size + 1, int(tables.behind[element])
+        most = max(most, size)
+    return most
+
+
+@pytest.mark.parametrize("where", [1e4, 1e300, np.inf, np.nan])
+@pytest.mark.parametrize("n_gone", [1, 200])
+def test_a_diverging_run_costs_no_more(where: float, n_gone: int) -> None:
+    """Nodes that have gone anywhere neither make cells larger nor crowd one; restored, the engine is as it was."""
+    engine = engine_of(scattered(np.random.default_rng(0), 100, 1.0))
+    start = engine.state
+    sound, tables = listed(engine)
+    before = crowd(tables)
+    gone = start.copy()
+    gone.position[:n_gone] += where
+    engine._restore(gone)
+    assert len(listed(engine)[0]) <= len(sound)
+    assert crowd(tables) <= 2 * before
+    engine.restore(start)
+    assert engine.advance([], 1).ok
+    assert len(sound) == tables.count[0]
+
+
+@pytest.mark.parametrize("room", [1, 1000])
+def test_when_the_list_was_made_does_not_show(room: int) -> None:
+    """An engine that goes on with its list and one that makes it anew, also where a list outgrows its room."""
+    model = scattered(np.random.default_rng(0), 60, 0.15)
+    first, second = engine_of(model), engine_of(model)
+    for engine in (first, second):
+        assert engine._contact is not None
+        engine._contact = engine._contact._replace(pairs=np.zeros((room, 2), np.int64))
+    start = model.rest_state().copy()
+    start.velocity[:] = np.random.default_rng(1).normal(0.0, 0.3, start.velocity.shape)
+    first.restore(start)
+    pressed = 0
+    for _ in range(30):
+        second.restore(first.state)
+        for engine in (first, second):
+            assert engine.advance([], 7).ok
+        pressed += len(touching(model, first.state.position))
+        for field in FIELDS:
+            assert np.array_equal(getattr(first.state, field), getattr(second.state, field)), field
+    assert pressed > 0
+
+
 def test_overlaps_are_found_in_little_memory() -> None:
     """What is tried at a time has a bound: all pairs of these 3200 elements that are near along one axis have none."""
     model = scattered(np.random.default_rng(0), 800, 0.3)

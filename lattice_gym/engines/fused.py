@@ -34,6 +34,8 @@ _LARGEST_RATE = 300.0
 _CACHE_LINE = 64
 _SKIN = 0.25
 """How much further than they touch elements are listed, over the largest radii of two of them together."""
+_LISTED = 16
+"""Pairs for which there is room between calls, per element; where more are listed every call lists anew."""
 
 
 @dataclass(frozen=True)
@@ -429,12 +431,16 @@ class FusedEngine(Engine):
         n_elem = len(element)
         rod, radius = contact.rod_of(model)[element], model.element_radius[element]
         never = np.searchsorted(element, contact.excluded(model))
+        rest = np.concatenate([part.rest_length for part in model.rods])
         return kernels.Contact(
             cell=self._element[0][element], lane=self._element[1][element], rod=rod, radius=radius,
             never=never[:, 1].copy(), row=np.searchsorted(never[:, 0], np.arange(n_elem + 1)),
-            listed=np.zeros((n_elem, 2, 3)), ends=np.zeros((n_elem, 2, 3)), grid=np.zeros((n_elem, 3), np.int64),
+            listed=np.full((n_elem, 2, 3), np.inf), ends=np.zeros((n_elem, 2, 3)),
+            pairs=np.zeros((_LISTED * n_elem + 1, 2), np.int64), count=np.zeros(1, np.int64),
+            grid=np.zeros((n_elem, 3), np.int64),
             head=np.zeros(2 ** (2 * n_elem).bit_length(), np.int64), behind=np.zeros(n_elem, np.int64),
             stiffness=law.stiffness, damping=law.damping, skin=_SKIN * 2.0 * float(radius.max(initial=0.0)),
+            longest=MAX_DILATATION * float(rest[element].max(initial=0.0)),
         )  # fmt: skip
 
     @property
@@ -451,6 +457,9 @@ class FusedEngine(Engine):
         if self._ball is not None:
             self._ball.place[:], self._ball.speed[:] = state.bolus_position[0], state.bolus_velocity[0]
             self._ball.spin[:] = state.bolus_omega[0]
+        if self._contact is not None:
+            # Where a run diverged before, nothing could tell how far nodes have gone since.
+            self._contact.listed[:] = np.inf
 
     def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:
         self._pack.advance(start[None], end[None], n_substeps, self._ball, self._contact, self._account)

@@ -157,8 +157,9 @@ class Contact(NamedTuple):
 
     Those that element i never touches are `never[row[i] : row[i + 1]]`, all beyond i. Elements nearer than their radii
     and the `skin` [m] are listed, again once a node has gone more than half the skin from where it was then, `listed`
-    [m], shape (n, 2, 3); `ends` are where they are now. Work space of the listing: `grid`, shape (n, 3), `behind`,
-    shape (n,), and `head`, whose size is a power of two.
+    [m], shape (n, 2, 3), infinite where none is; `ends` are where they are now. An element beyond the length `longest`
+    [m] has diverged and is not listed. `pairs` has the list, `count` how many rows of it are in use, shape (1,). Work
+    space of the listing: `grid`, shape (n, 3), `behind`, shape (n,), and `head`, whose size is a power of two.
     """
 
     cell: npt.NDArray[np.int64]
@@ -169,12 +170,15 @@ class Contact(NamedTuple):
     row: npt.NDArray[np.int64]
     listed: npt.NDArray[np.float64]
     ends: npt.NDArray[np.float64]
+    pairs: npt.NDArray[np.int64]
+    count: npt.NDArray[np.int64]
     grid: npt.NDArray[np.int64]
     head: npt.NDArray[np.int64]
     behind: npt.NDArray[np.int64]
     stiffness: float
     damping: float
     skin: float
+    longest: float
 
 
 class Account(NamedTuple):
@@ -904,26 +908,31 @@ def list_pairs(cells: Cells, contact: Contact) -> tuple[npt.NDArray[np.int64], i
     """Pairs of elements that may come to touch, as rows of an array, and how many rows it has in use.
 
     Elements are put into the cells of a grid by their middles; two nearer than their radii and the skin are in cells
-    that are neighbours. Where elements stand at all costs no memory: cells share a table.
+    that are neighbours. Where elements stand at all costs no memory: cells share a table. Pairs are in order, so that
+    forces add up to the same last bit whenever the list was made.
     """
     n_elem, listed, grid, head, behind = len(contact.cell), contact.listed, contact.grid, contact.head, contact.behind
     rod, radius, skin, never, row = contact.rod, contact.radius, contact.skin, contact.never, contact.row
     _find_ends(cells, contact)
     listed[:] = contact.ends
-    longest, thickest = 0.0, 0.0
+    longest, thickest, bound = 0.0, 0.0, contact.longest * contact.longest
     for e in range(n_elem):
-        square = 0.0
-        for i in range(3):
-            square += (listed[e, 1, i] - listed[e, 0, i]) ** 2
-        longest, thickest = max(longest, square), max(thickest, radius[e])
+        square = _square_length(listed, e)
+        if square <= bound:
+            longest = max(longest, square)
+        thickest = max(thickest, radius[e])
     fine = 1.0 / (np.sqrt(longest) + 2.0 * thickest + skin)
-    pairs, count = np.empty((8 * n_elem + 1, 2), np.int64), 0
+    pairs, count = contact.pairs, 0
     head[:] = -1
     for e in range(n_elem):
+        sound = _square_length(listed, e) <= bound
         for i in range(3):
             place = np.floor(0.5 * (listed[e, 0, i] + listed[e, 1, i]) * fine)
-            grid[e, i] = int(min(max(place, -_FAR_CELL), _FAR_CELL)) if place == place else 0
-        x, y, z = grid[e, 0], grid[e, 1], grid[e, 2]
+            sound = sound and abs(place) <= _FAR_CELL
+            grid[e, i] = int(place) if sound else 0
+        if not sound:
+            continue
+        x, y, z, first = grid[e, 0], grid[e, 1], grid[e, 2], count
         for near in range(27):
             p, q, r = x + near % 3 - 1, y + near // 3 % 3 - 1, z + near // 9 - 1
             other = head[_bucket(p, q, r, head.shape[0])]
@@ -939,12 +948,26 @@ def list_pairs(cells: Cells, contact: Contact) -> tuple[npt.NDArray[np.int64], i
                         more = np.empty((2 * count, 2), np.int64)
                         more[:count] = pairs
                         pairs = more
-                    pairs[count, 0], pairs[count, 1] = other, e
+                    k = count
+                    while k > first and pairs[k - 1, 0] > other:
+                        pairs[k, 0] = pairs[k - 1, 0]
+                        k -= 1
+                    pairs[k, 0], pairs[count, 1] = other, e
                     count += 1
                 other = behind[other]
         bucket = _bucket(x, y, z, head.shape[0])
         behind[e], head[bucket] = head[bucket], e
+    contact.count[0] = count
     return pairs, count
+
+
+@compiled
+def _square_length(listed: npt.NDArray[np.float64], e: int) -> float:
+    """Square of the length of a segment."""
+    square = 0.0
+    for i in range(3):
+        square += (listed[e, 1, i] - listed[e, 0, i]) ** 2
+    return square
 
 
 @compiled
@@ -1037,7 +1060,7 @@ def advance(
         for i in range(3):
             ball.place[i] += 0.5 * dt * ball.speed[i]
     if contact is not None:
-        pairs, n_pairs = list_pairs(cells, contact)
+        pairs, n_pairs = contact.pairs, contact.count[0]
     for step in range(n_steps):
         drift = dt if step < n_steps - 1 else 0.5 * dt
         _apply_joints(cells, joints, joint_damping)
@@ -1071,6 +1094,9 @@ def advance(
                 _joint_loss(cells, joints, joint_damping, account, dt)
             _account(cells, work, passive, account, couples, spin_damping, symmetric, ground, dt)
             _account(cells, work, active, account, couples, spin_damping, symmetric, ground, dt)
+    if contact is not None and n_pairs > len(contact.pairs):
+        # The list outgrew its room and is lost with this call.
+        contact.listed[:] = np.inf
     if account is not None:
         _muscle_work(cells, active, account, hill, True, 0.5)
         if lines is not None:
