@@ -10,10 +10,10 @@ momentum close. There is no friction. Where rods cross they are joined, and lie 
 that are near each other at rest never touch, see `MARGIN`, nor do any that overlap at rest. A rod does not touch
 itself, and muscles, which lie on the crossings, touch nothing.
 
-At a node two elements meet, so that rods which touch node on node are held by four such pairs, within elements by one.
-The nearest point of rods that are all but parallel jumps from end to end of an element as they tilt: the energy is
-then continuous, but not the force's lever. Once centre lines have crossed, the push is the other way: the law holds as
-long as depths stay below the reach.
+The stiffness is that of a pair: rods that touch node on node, where two elements meet, are held by four, within
+elements by one, and rods that run along each other by the more the finer the mesh. The nearest point of rods that are
+all but parallel jumps from end to end of an element as they tilt: the energy is then continuous, but not the force's
+lever. Once centre lines have crossed, the push is the other way: the law holds as long as depths stay below the reach.
 """
 
 from __future__ import annotations

@@ -14,7 +14,8 @@ class Hill(Part):
     """Factors on the tension of every muscle, by its length and its speed (Hill 1938, Proc. R. Soc. B 126:136).
 
     The forms are those of Thelen 2003 (J. Biomech. Eng. 125:70) at full activation. With l the length over the length
-    of greatest force, v its rate over `max_speed` (negative: shortening), A the curvature and M the eccentric force,
+    of greatest force, v the rate of length over rest length, over `max_speed` (negative: shortening), A the curvature
+    and M the eccentric force,
 
         force-length     exp(-((l - 1) / width)^2)
         force-velocity   0                                where v <= -1

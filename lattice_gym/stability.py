@@ -8,7 +8,7 @@ eigenvalue decides for the whole assembly. It is found by Lanczos' iteration. A 
 to K and C as if it bore every node; its friction takes from velocities and weights are constant, which matters not.
 With `hill.Hill` factors every element of a muscle is a dashpot and a spring more, each at its steepest and under full
 tension.
-Contact between rods adds as if every node were touched by nodes of other rods on both sides, see `_crowded`.
+Contact between rods adds as if every node were touched by other rods on both sides, see `_crowded`.
 
 Left out is what forces around rest do not show: kinks of a right angle between elements, the friction of a ball, which
 its law bounds, and, with the "pyelastica" splitting, elements that spin about their rod. That step takes the gyroscopic
@@ -40,6 +40,9 @@ of an undamped default worm under random commands stay within it."""
 
 LEAST_CONTRACTION = 0.5
 """Length over rest length below which no rod but a muscle is taken to go. An assumption, no bound."""
+
+DEEPEST = 0.1
+"""Depth over the reach to which rods are taken to press into each other. An assumption, no bound."""
 
 N_LANCZOS = 80
 """Steps k of Lanczos' iteration: from a random start the largest of n eigenvalues is then expected to within
@@ -133,18 +136,31 @@ class _Floor:
         return displacement * self.stiffness
 
 
-def _crowded(model: RodModel) -> FloatArray:
+def _crowded(model: RodModel, shortened: FloatArray) -> FloatArray:
     """Contacts that every node of a rod but a muscle is taken to bear, shape (n_node, 1).
 
     A contact between the places p and q bears no more than 2 p^2 + 2 q^2, by the lever rule two springs of its
-    stiffness at either node. A node is touched by nodes, both its elements by two each, on two sides: an assumption,
-    as rods may lie closer; but then they touch within elements, too, and these bear less.
+    stiffness at either node. A node is touched on two sides, an assumption, as rods may lie closer: by nodes, both its
+    elements by two each. Two terms more count where elements are short, rods being pressed together by `DEEPEST`.
+    Each element that begins on the length over which they overlap adds two contacts; as that has few itself, or where
+    rods run along each other half of them at other nodes, weights other than 2 count it as one. And as an element
+    tilts, the place where it is pushed at moves: a force F at a distance d bears tilts by F d over its length squared,
+    that of two contacts in which places are free to move. `shortened` has the length over rest length of every rod,
+    shape (n_rod,).
     """
-    sides, touching, springs = 2.0, 2.0, 2.0
-    contacts = np.full(model.n_node, 2.0)
-    contacts[model.node_offset[:-1]] = contacts[model.node_offset[1:] - 1] = 1.0
-    for rod in model.muscles:
-        contacts[model.nodes(rod)] = 0.0
+    contacts = np.zeros(model.n_node)
+    solid = sorted(set(range(model.n_rod)) - set(model.muscles))
+    if not solid:
+        return contacts[:, None]
+    reach = 2.0 * max(float(model.rods[rod].radius.max()) for rod in solid)
+    stubby = reach / min(float(shortened[rod] * model.rods[rod].rest_length.min()) for rod in solid)
+    overlap = 2.0 * math.sqrt(1.0 - (1.0 - DEEPEST) ** 2)
+    sides, springs = 2.0, 2.0
+    touching = 2.0 + 0.5 * math.floor(overlap * stubby) + 2.0 * DEEPEST * (1.0 - DEEPEST) * stubby**2
+    for rod in solid:
+        contacts[model.nodes(rod)] = 2.0
+    contacts[model.node_offset[:-1]] *= 0.5
+    contacts[model.node_offset[1:] - 1] *= 0.5
     return sides * touching * springs * contacts[:, None]
 
 
@@ -245,7 +261,7 @@ class _Linear:
             if model.ground.damping > 0.0:
                 self.dashpots.append(_Floor(model.ground.damping * upward))
         if model.contact is not None:
-            crowded = _crowded(model)
+            crowded = _crowded(model, shortened)
             self.ties.append(_Floor(model.contact.stiffness * crowded))
             if model.contact.damping > 0.0:
                 self.dashpots.append(_Floor(model.contact.damping * crowded))

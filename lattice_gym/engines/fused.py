@@ -436,7 +436,7 @@ class FusedEngine(Engine):
             cell=self._element[0][element], lane=self._element[1][element], rod=rod, radius=radius,
             never=never[:, 1].copy(), row=np.searchsorted(never[:, 0], np.arange(n_elem + 1)),
             listed=np.full((n_elem, 2, 3), np.inf), ends=np.zeros((n_elem, 2, 3)),
-            pairs=np.zeros((_LISTED * n_elem + 1, 2), np.int64), count=np.zeros(1, np.int64),
+            pairs=np.zeros((_LISTED * n_elem + 1, 2), np.int64), used=np.zeros(1, np.int64),
             grid=np.zeros((n_elem, 3), np.int64),
             head=np.zeros(2 ** (2 * n_elem).bit_length(), np.int64), behind=np.zeros(n_elem, np.int64),
             stiffness=law.stiffness, damping=law.damping, skin=_SKIN * 2.0 * float(radius.max(initial=0.0)),

@@ -158,7 +158,7 @@ class Contact(NamedTuple):
     Those that element i never touches are `never[row[i] : row[i + 1]]`, all beyond i. Elements nearer than their radii
     and the `skin` [m] are listed, again once a node has gone more than half the skin from where it was then, `listed`
     [m], shape (n, 2, 3), infinite where none is; `ends` are where they are now. An element beyond the length `longest`
-    [m] has diverged and is not listed. `pairs` has the list, `count` how many rows of it are in use, shape (1,). Work
+    [m] has diverged and is not listed. `pairs` has the list, `used` how many rows of it there are, shape (1,). Work
     space of the listing: `grid`, shape (n, 3), `behind`, shape (n,), and `head`, whose size is a power of two.
     """
 
@@ -171,7 +171,7 @@ class Contact(NamedTuple):
     listed: npt.NDArray[np.float64]
     ends: npt.NDArray[np.float64]
     pairs: npt.NDArray[np.int64]
-    count: npt.NDArray[np.int64]
+    used: npt.NDArray[np.int64]
     grid: npt.NDArray[np.int64]
     head: npt.NDArray[np.int64]
     behind: npt.NDArray[np.int64]
@@ -957,7 +957,7 @@ def list_pairs(cells: Cells, contact: Contact) -> tuple[npt.NDArray[np.int64], i
                 other = behind[other]
         bucket = _bucket(x, y, z, head.shape[0])
         behind[e], head[bucket] = head[bucket], e
-    contact.count[0] = count
+    contact.used[0] = count
     return pairs, count
 
 
@@ -1060,7 +1060,7 @@ def advance(
         for i in range(3):
             ball.place[i] += 0.5 * dt * ball.speed[i]
     if contact is not None:
-        pairs, n_pairs = contact.pairs, contact.count[0]
+        pairs, n_pairs = contact.pairs, contact.used[0]
     for step in range(n_steps):
         drift = dt if step < n_steps - 1 else 0.5 * dt
         _apply_joints(cells, joints, joint_damping)
