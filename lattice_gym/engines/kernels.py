@@ -281,7 +281,7 @@ _GRIP = 2.0
 _LEAST_SQUARE = 1e-300
 # As `contact.PARALLEL`.
 _PARALLEL = 1e-12
-# Cells of the grid that a coordinate may be away from the origin: what is further is all in the last.
+# Cells of the grid that a coordinate may be away from the origin: what is further has diverged and is not listed.
 _FAR_CELL = 1e9
 # Spin damped to less than this share within a step is too slow to count; the bound keeps 1 / keep^4 finite.
 _LEAST_KEEP = 1e-70
