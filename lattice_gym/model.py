@@ -359,11 +359,10 @@ class Ball:
     """Rigid uniform ball that pushes at elements of rods, each a cylinder of its rest radius with round ends.
 
     Where it overlaps one by a depth, with u the velocity of its material at the nearest point of the centre line over
-    that of the line there, it pushes with N = max(0, stiffness depth - damping u_n) along the normal and drags with
-    friction N u_t / max(|u_t|, slip_speed), Coulomb's law for all but slow slip. Both act on the centre line: the lever
-    rule shares them between its two nodes, and the ball has the opposite force and its moment, so that momentum and
-    angular momentum close; the rod is not twisted. No step may do more than halve a slip: where friction would, the
-    speed at which it just halves it, in proportion to N dt, takes the place of `slip_speed`.
+    that of the line there, it pushes with N = max(0, stiffness depth - damping u_n) along the normal. Friction, at most
+    friction N, takes all slip u_t that everything else leaves at the end of a step, or acts against it in full:
+    Coulomb's law. Both act on the centre line: the lever rule shares them between its two nodes, and the ball has the
+    opposite force and its moment, so that momentum and angular momentum close; the rod is not twisted.
     """
 
     position: FloatArray
@@ -378,13 +377,11 @@ class Ball:
     """Of that contact, along the normal [N s/m]."""
     friction: float = 0.0
     """Friction over normal force."""
-    slip_speed: float = 1e-3
-    """[m/s]"""
     force: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Constant force, as its weight less what the medium carries [N]."""
 
     def __post_init__(self) -> None:
-        for name in ("radius", "mass", "slip_speed"):
+        for name in ("radius", "mass"):
             object.__setattr__(self, name, _number(f"Ball.{name}", getattr(self, name), above=True))
         for name in ("stiffness", "damping", "friction"):
             object.__setattr__(self, name, _number(f"Ball.{name}", getattr(self, name), above=False))
@@ -851,7 +848,6 @@ def _ball(lattice: Lattice, world: World) -> Ball | None:
         stiffness=bolus.stiffness,
         damping=bolus.damping,
         friction=bolus.friction,
-        slip_speed=bolus.slip_speed,
         force=(0.0, 0.0, -weight),
     )
 

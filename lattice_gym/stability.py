@@ -5,15 +5,14 @@ the sign of a motion y, x_n = (-1)^n y, is the largest that the scheme bears. In
 shares a and b of a velocity before and after the kick (`engines.damping_shares`), and with dashpots C that see the
 velocity before the kick, that is (dt^2 K + 2 dt C) y = 2 M (1/b + a) y. All matrices are symmetric, so the largest
 eigenvalue decides for the whole assembly. It is found by Lanczos' iteration. A ground adds its spring and its dashpot
-to K and C as if it bore every node; its friction takes from velocities and weights are constant, which matters not.
-With `hill.Hill` factors every element of a muscle is a dashpot and a spring more, each at its steepest and under full
-tension.
+to K and C as if it bore every node. Weights are constant, and friction, of ground and ball, only takes from velocities,
+which matters not. With `hill.Hill` factors every element of a muscle is a dashpot and a spring more, each at its
+steepest and under full tension.
 Contact between rods adds as if every node were touched by other rods on both sides, see `_crowded`.
 
-Left out is what forces around rest do not show: kinks of a right angle between elements, the friction of a ball, which
-its law bounds, and, with the "pyelastica" splitting, elements that spin about their rod. That step takes the gyroscopic
-term from before the kick, which feeds the spin of slender, hardly damped elements on a coarse mesh: such a worm may be
-stable only well below the prediction.
+Left out is what forces around rest do not show: kinks of a right angle between elements and, with the "pyelastica"
+splitting, elements that spin about their rod. That step takes the gyroscopic term from before the kick, which feeds the
+spin of slender, hardly damped elements on a coarse mesh: such a worm may be stable only well below the prediction.
 """
 
 from __future__ import annotations

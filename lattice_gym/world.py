@@ -133,7 +133,6 @@ class Bolus(Part):
         "stiffness": (1e-6, 1e9, "N/m"),
         "damping": (0.0, 1e6, "N s/m"),
         "friction": (0.0, 100.0, "1"),
-        "slip_speed": (1e-9, 1e3, "m/s"),
     }
 
     radius: float = 0.03
@@ -148,12 +147,6 @@ class Bolus(Part):
     """Of that contact, along the normal [N s/m]."""
     friction: float = 0.3
     """Friction over normal force."""
-    slip_speed: float = 1e-3
-    """Speed of slip at which friction reaches its full size [m/s], at least.
-
-    Where many contacts or long steps would make friction unstable it is raised, at the default step to a few mm/s. A
-    ball that friction alone holds therefore creeps, the less the shorter `dt`.
-    """
 
 
 @dataclass(frozen=True, kw_only=True)

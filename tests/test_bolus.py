@@ -95,7 +95,7 @@ def test_friction_spins_the_ball(engine_name: EngineName) -> None:
     arm = REACH - gravity / stiffness
     model = RodModel(
         **rails(0.0),
-        bolus=ball(arm, stiffness=stiffness, friction=friction, slip_speed=1e-6, force=(0.0, 0.0, -gravity)),
+        bolus=ball(arm, stiffness=stiffness, friction=friction, force=(0.0, 0.0, -gravity)),
     )
     assert model.bolus is not None
     inertia = model.bolus.inertia
@@ -111,6 +111,81 @@ def test_friction_spins_the_ball(engine_name: EngineName) -> None:
     rolling = arm**2 / (inertia + arm**2)
     assert state.bolus_velocity[0, 0] == pytest.approx(rolling, abs=1e-10)
     assert state.bolus_omega[0, 1] * arm == pytest.approx(rolling, abs=1e-10)
+
+
+def gripped(load: tuple[float, float, float]) -> RodModel:
+    """Ball of 1 kg that a rail on either side presses with 1 N, with a friction of 0.3; the load is its only other."""
+    depth, stiffness = 1e-3, 1e3
+    across = REACH - depth
+    return RodModel(**rails(-across, across), bolus=ball(0.0, stiffness=stiffness, friction=0.3, force=load))
+
+
+@pytest.mark.parametrize("dt", [1e-3, 2.5e-4])
+def test_friction_holds(engine_name: EngineName, dt: float) -> None:
+    """Below the limit of 0.6 N it stays, but for what the sweeps leave of the speed that the load adds in a step.
+
+    Friction of one adds 1 / m + arm^2 / inertia to its own slip and 1 / m - arm^2 / inertia to that of the other: every
+    sweep but the first leaves the square of their ratio, 0.25, so twelve of them 2e-7.
+    """
+    time, load, arm = 1.0, 0.57, REACH - 1e-3
+    model = gripped((0.8 * load, 0.0, -0.6 * load))
+    assert model.bolus is not None
+    turning = arm**2 / model.bolus.inertia
+    engine = make_engine(engine_name, model, dt)
+    assert engine.advance([], round(time / dt)).ok
+    way = engine.state.bolus_position[0] - model.rest_state().bolus_position[0]
+    assert np.linalg.norm(way) < ((turning - 1.0) / (turning + 1.0)) ** 22 * load * dt * time
+
+
+def test_friction_yields(engine_name: EngineName) -> None:
+    """Above the limit it slides off with what the load has beyond it: without error, as the force is constant."""
+    model = gripped((0.9, 0.0, 0.0))
+    engine = make_engine(engine_name, model, 1e-3)
+    assert engine.advance([], 500).ok
+    state = engine.state
+    assert state.bolus_position[0] == pytest.approx([2.0 + 0.5 * 0.3 * 0.5**2, 0.0, 0.0], abs=1e-12)
+    assert state.bolus_velocity[0] == pytest.approx([0.3 * 0.5, 0.0, 0.0], abs=1e-12)
+    assert state.bolus_omega[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("shorter", [1, 4])
+def test_a_worm_holds_it(shorter: int) -> None:
+    """By friction alone, below a tenth of its limit: it creeps by a thousandth of what its weight adds in a step.
+
+    That is what twelve sweeps leave where two elements touch it beside the node they share, as good as at one place.
+    """
+    model, dt = worm(Medium(density=967.0), friction=0.3)
+    assert model.bolus is not None
+    engine = make_engine("fused", model, dt / shorter, "symmetric")
+    pull, height = np.full(model.n_muscle, 0.2), []
+    for time in (3.0, 1.5):
+        assert engine.advance(pull, round(time / engine.dt)).ok
+        height.append(engine.state.bolus_position[0, 2])
+    added = -model.bolus.force[2] / model.bolus.mass * engine.dt
+    assert added > 3e-5
+    assert abs(height[1] - height[0]) < 1e-3 * added * 1.5
+
+
+@pytest.mark.parametrize("friction", [0.03, 0.3, 100.0])
+def test_friction_feeds_nothing(engine_name: EngineName, friction: float) -> None:
+    """Among free rods that move at random a step with it leaves less kinetic energy than one without."""
+    rods = tuple(straight_rod((-0.3, y, 0.0), (0.3, y, 0.0), 12, **SOFT) for y in (-0.1, 0.0, 0.1))
+    rubbing = ball(0.0, position=np.array([0.01, 0.02, 0.03]), friction=friction, mass=0.3)
+    model, left, rng = RodModel(rods=rods, bolus=rubbing), [], np.random.default_rng(4)
+    start = replace(
+        thrown(model, (0.3, -0.2, -0.1)),
+        velocity=0.1 * rng.standard_normal((model.n_node, 3)),
+        bolus_omega=np.array([[5.0, 3.0, -2.0]]),
+    )
+    for one in (model, replace(model, bolus=replace(rubbing, friction=0.0))):
+        engine = make_engine(engine_name, one, 1e-4)
+        engine.restore(start)
+        assert engine.advance([], 1).ok
+        stored = EnergyMeter(one).stored(engine.state)
+        left.append(float(stored.translation.sum() + stored.bolus.sum()))
+        # The rods' own discrete law keeps angular momentum to the order of the step.
+        assert np.abs(momenta(one, engine.state) - momenta(one, start)).max() < 1e-10
+    assert left[0] < left[1] - 1e-4
 
 
 def momenta(model: RodModel, state: RodState) -> FloatArray:
@@ -260,12 +335,11 @@ def test_energy_by_hand() -> None:
 
 
 def test_the_ledger_balances(engine_name: EngineName) -> None:
-    """Sliding, bouncing and damped on a rail, all that it loses is counted, to the order of the step."""
+    """Sliding, bouncing and damped on a rail, all that it loses is counted, but for (rate dt)^2 / 4 of its spring."""
     model = RodModel(
         **rails(0.0),
-        bolus=ball(REACH, damping=5.0, friction=0.3, slip_speed=0.05, force=(0.0, 0.0, -9.81)),
+        bolus=ball(REACH, damping=5.0, friction=0.3, force=(0.0, 0.0, -9.81)),
     )
-    left = []
     for dt in (2e-4, 1e-4, 5e-5):
         engine = make_engine(engine_name, model, dt, energy_check=True)
         engine.restore(thrown(model, (1.0, 0.0, -0.5)))
@@ -274,9 +348,7 @@ def test_the_ledger_balances(engine_name: EngineName) -> None:
         assert entry is not None
         assert entry.dissipated > 0.1
         assert abs(entry.load_work) > 0.01
-        left.append(abs(entry.residual) / entry.scale)
-    assert left[0] < 3e-3
-    assert left[2] < 0.5 * left[0]
+        assert abs(entry.residual) < 0.25 * (100.0 * dt) ** 2 * entry.scale
 
 
 def test_a_worm_keeps_its_books() -> None:
@@ -307,7 +379,6 @@ def cage(stiffness: float, mass: float, damping: float, friction: float, middle:
         forces += [PointForce(k, node, tuple(f * (0.5 if middle else 1.0) for f in pull)) for node in touched]
     held = Ball(
         position=np.zeros(3), radius=0.2, mass=mass, stiffness=stiffness, damping=damping, friction=friction,
-        slip_speed=1e-9,
     )  # fmt: skip
     return RodModel(rods=tuple(rods), clamps=tuple(clamps), forces=tuple(forces), bolus=held)
 
@@ -370,14 +441,14 @@ def test_the_world_has_it(lattice: Lattice) -> None:
     layout = named_layout("extension", lattice)
     plain = build_model(lattice, layout)
     assert (plain.bolus, plain.n_bolus, plain.rest_state().bolus_position.shape) == (None, 0, (0, 3))
-    bolus = Bolus(radius=0.02, density=1200.0, level=2.5, stiffness=70.0, damping=0.2, friction=0.4, slip_speed=2e-3)
+    bolus = Bolus(radius=0.02, density=1200.0, level=2.5, stiffness=70.0, damping=0.2, friction=0.4)
     made = build_model(lattice, layout, World(bolus=bolus, medium=Medium(density=1000.0, gravity=9.0))).bolus
     assert made is not None
     volume = 4.0 / 3.0 * np.pi * 0.02**3
     assert made.position == pytest.approx([0.0, 0.0, 2.5 * 0.0125])
     assert made.mass == pytest.approx(1200.0 * volume)
     assert made.force == pytest.approx((0.0, 0.0, -200.0 * volume * 9.0))
-    assert (made.radius, made.stiffness, made.damping, made.friction, made.slip_speed) == (0.02, 70.0, 0.2, 0.4, 2e-3)
+    assert (made.radius, made.stiffness, made.damping, made.friction) == (0.02, 70.0, 0.2, 0.4)
     still = build_model(lattice, layout, World(bolus=bolus)).bolus
     assert still is not None
     assert still.force == (0.0, 0.0, 0.0)
@@ -391,11 +462,12 @@ def test_the_world_has_it(lattice: Lattice) -> None:
 def swallowed(level: float, sign: float, time: float, back: float = 0.0) -> FloatArray:
     """Heights of the ball [m] every 50 ms in a wave of 50 mm and 10 mm/s, upward for sign 1; then run `back` [s].
 
-    Ring muscles of 1.2 N, vertical ones at half drive in antiphase; the ball starts where the rings are at rest.
+    Ring muscles of 1.2 N, vertical ones at half drive in antiphase; the ball starts where the rings are at rest. Rods
+    with a friction of 0.3 would hold it back.
     """
     lattice = build_lattice(LatticeDesign())
     layout = named_layout("all", lattice)
-    model = build_model(lattice, layout, World(bolus=Bolus(level=level)))
+    model = build_model(lattice, layout, World(bolus=Bolus(level=level, friction=0.1)))
     ring = np.array([muscle.orientation == "horizontal" for muscle in layout.active])
     sites = np.array([(muscle.start, muscle.end) for muscle in layout.active])
     height = lattice.site_position[sites, 2].mean(axis=1)
@@ -429,7 +501,7 @@ ODD: st.SearchStrategy[object] = st.one_of(
 
 
 @settings(deadline=None, max_examples=100)
-@given(st.sampled_from(["radius", "mass", "stiffness", "damping", "friction", "slip_speed"]), ODD)
+@given(st.sampled_from(["radius", "mass", "stiffness", "damping", "friction"]), ODD)
 def test_refused_numbers(name: str, value: object) -> None:
     """Each is named."""
     with pytest.raises(ValueError, match=rf"Ball\.{name}"):

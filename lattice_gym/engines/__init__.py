@@ -1,10 +1,11 @@
 """Engines advance a `RodModel` in time: "fused" (compiled, the default) and "pyelastica" (the reference).
 
 Both take steps of position Verlet: half a drift; all forces of that instant (internal, muscle tension, joints, lines,
-weights and point loads, the ball, rods that touch, then the ground's normal force, with the velocities before the
-kick); a full kick, clamps; the friction of the ground, on the velocity that all this leaves; half a drift. Damping
-follows the kick, as in PyElastica 1.0.0, or goes along with it (see `Splitting`), but comes before friction. Friction
-acts on the centre line: a rod that rolls on the spot is not held, as rods of a lattice do not roll.
+weights and point loads, the ball's push, rods that touch, then the ground's normal force, with the velocities before
+the kick); a full kick, clamps; the friction of the ground, then that of the ball, on the velocities that all this
+leaves; half a drift. Damping follows the kick, as in PyElastica 1.0.0, or goes along with it (see `Splitting`), but
+comes before friction. Friction acts on the centre line: a rod that rolls on the spot is not held, as rods of a lattice
+do not roll.
 """
 
 from __future__ import annotations

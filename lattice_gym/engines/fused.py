@@ -418,9 +418,11 @@ class FusedEngine(Engine):
         reach[self._element] = ball.radius + self.model.element_radius
         return kernels.Ball(
             place=ball.position.copy(), speed=np.zeros(3), spin=np.zeros(3), force=np.array(ball.force),
-            load=np.zeros(7), reach=reach, touching=np.zeros(self._pack.place.n_cell, np.int64),
+            load=np.zeros(3), reach=reach, close=np.zeros(self._pack.place.n_cell, np.bool_), cell=self._element[0],
+            lane=self._element[1], touches=np.zeros(self.model.n_elem, kernels.TOUCH),
+            nodes=np.zeros((2 * self.model.n_elem, 3)),
             kick=self.dt / ball.mass, spin_kick=self.dt / ball.inertia,
-            stiffness=ball.stiffness, damping=ball.damping, friction=ball.friction, slip_speed=ball.slip_speed,
+            stiffness=ball.stiffness, damping=ball.damping, friction=ball.friction,
         )  # fmt: skip
 
     def _pack_contact(self) -> kernels.Contact | None:

@@ -8,10 +8,10 @@ No lane feels another: rods of several worms share blocks, and each moves to the
 
 The equations are those of Gazzola et al. 2018 (R. Soc. Open Sci. 5:171628) as PyElastica 1.0.0 discretises them:
 circular sections (so J3 = 2 J1), linear elasticity, volume-preserving stretch. Within a step, in this order: weights
-and point forces (what a force starts from), joints, lines, the ball, rods that touch, internal forces and muscle
-tension, the ground's normal force, kick, friction, drift; damping goes along with the kick or comes after it, see
-`engines.Splitting`. The half drift that ends a step and the one that begins the next are one full drift; the first and
-the last of a call are halves.
+and point forces (what a force starts from), joints, lines, the ball's push, rods that touch, internal forces and muscle
+tension, the ground's normal force, kick, the ground's friction, the ball's, drift; damping goes along with the kick or
+comes after it, see `engines.Splitting`. The half drift that ends a step and the one that begins the next are one full
+drift; the first and the last of a call are halves.
 
 All of this stands in one file because numba's cache looks at one file only: a helper elsewhere could be edited
 and the old machine code would run on.
@@ -128,13 +128,27 @@ class Ground(NamedTuple):
     axis: Axis | None
 
 
+TOUCH = np.dtype(
+    [(name, np.int64) for name in ("cell", "lane", "first", "second")]
+    + [(name, np.float64) for name in ("far", "near_push", "far_push", "inv_give", "most")]
+    + [(name, np.float64, (3,)) for name in ("gap", "normal", "early", "drag")]
+)
+"""An element that the ball rubs on in this step: record, lane, rows of its nodes in `Ball.nodes`, share of the second.
+
+A unit of friction [N] adds `near_push` and `far_push` to the velocities of its nodes in the step, and changes the slip
+there by one over `inv_give`; it can be at most `most` [N]. `gap` leads from the centre line to the ball's centre [m],
+along `normal`; `early` is the slip before the kick [m/s], `drag` the friction on the ball [N].
+"""
+
+
 class Ball(NamedTuple):
     """The rigid ball: position [m], velocity [m/s], angular velocity [rad/s] and constant force [N], shape (3,) each.
 
-    `load` is work space of shape (7,): force [N] and torque [N m] of the contacts, and the power they dissipate [W].
     `reach` has the radii of ball and element together, by record and lane [m], shape (n_cell, LANES), 0 where there is
-    nothing to touch; `touching` counts the elements of a record that it overlaps, shape (n_cell,). A unit of force adds
-    `kick` to its velocity in a step, a unit of torque `spin_kick` to its spin.
+    nothing to touch. `cell` and `lane` are those of every element in the order of the model, shape (n_elem,). A unit of
+    force adds `kick` to its velocity in a step, a unit of torque `spin_kick` to its spin. Work space: `load`, the force
+    of the contacts but for friction [N], shape (3,); `close`, whether it overlaps any element of a record, shape
+    (n_cell,); `touches`, shape (n_elem,); and velocities of the nodes that it rubs on [m/s], shape (2 n_elem, 3).
     """
 
     place: npt.NDArray[np.float64]
@@ -143,13 +157,16 @@ class Ball(NamedTuple):
     force: npt.NDArray[np.float64]
     load: npt.NDArray[np.float64]
     reach: npt.NDArray[np.float64]
-    touching: npt.NDArray[np.int64]
+    close: npt.NDArray[np.bool_]
+    cell: npt.NDArray[np.int64]
+    lane: npt.NDArray[np.int64]
+    touches: npt.NDArray[Any]
+    nodes: npt.NDArray[np.float64]
     kick: float
     spin_kick: float
     stiffness: float
     damping: float
     friction: float
-    slip_speed: float
 
 
 class Contact(NamedTuple):
@@ -276,8 +293,9 @@ _VERSINE = _series(lambda t2: 2.0 * np.sin(0.5 * np.sqrt(t2)) ** 2 / t2, 5, _LAR
 # Of y, (1 - exp(-y)) / y:
 _LARGE_DECAY = 0.25
 _TAIL = _series(lambda y: -np.expm1(-y) / y, 8, _LARGE_DECAY)
-# The friction of all contacts together takes at most one over this of a slip within a step.
-_GRIP = 2.0
+# Sweeps over the friction of the ball, at most; they end when none changed by more than this share of the largest.
+_SWEEPS = 12
+_EVEN = 1e-9
 _LEAST_SQUARE = 1e-300
 # As `contact.PARALLEL`.
 _PARALLEL = 1e-12
@@ -753,54 +771,44 @@ def _apply_lines(cells: Cells, lines: Lines, hill: Hill | None) -> None:
 
 
 @compiled
-def _touch_all(cells: Cells, passive: npt.NDArray[np.int64], active: npt.NDArray[np.int64], ball: Ball) -> None:
-    """Let the ball and every element of every block push at each other where they overlap."""
-    ball.load[:] = 0.0
-    n_touching = 0
+def _find_close(cells: Cells, passive: npt.NDArray[np.int64], active: npt.NDArray[np.int64], ball: Ball) -> bool:
+    """Mark the records of which the ball overlaps an element; tell whether there are any."""
+    found = False
+    c0, c1, c2 = ball.place[0], ball.place[1], ball.place[2]
     for blocks in (passive, active):
         for b in range(blocks.shape[0]):
             for e in range(blocks[b, 0], blocks[b, 1] - 1):
-                ball.touching[e] = _count(cells[e : e + 2], ball.reach[e], ball)
-                n_touching += ball.touching[e]
-    if n_touching > 0:
-        for e in range(cells.shape[0] - 1):
-            if ball.touching[e] > 0:
-                _touch(cells[e : e + 2], ball.reach[e], ball, n_touching)
+                x0, x1, reach = cells[e].x, cells[e + 1].x, ball.reach[e]
+                n_touching = 0
+                for j in range(LANES):
+                    dx, dy, dz = x1[0, j] - x0[0, j], x1[1, j] - x0[1, j], x1[2, j] - x0[2, j]
+                    gx, gy, gz = c0 - x0[0, j], c1 - x0[1, j], c2 - x0[2, j]
+                    far = (gx * dx + gy * dy + gz * dz) / (dx * dx + dy * dy + dz * dz)
+                    far = min(max(far, 0.0), 1.0)
+                    gx, gy, gz = gx - far * dx, gy - far * dy, gz - far * dz
+                    n_touching += 1 if gx * gx + gy * gy + gz * gz < reach[j] * reach[j] else 0
+                ball.close[e] = n_touching > 0
+                found = found or n_touching > 0
+    return found
 
 
 @compiled
-def _count(pair: Cells, reach: npt.NDArray[np.float64], ball: Ball) -> int:
-    """Count the lanes in which the ball overlaps element e."""
-    x0, x1 = pair[0].x, pair[1].x
-    c0, c1, c2 = ball.place[0], ball.place[1], ball.place[2]
-    n_touching = 0
-    for j in range(LANES):
-        dx, dy, dz = x1[0, j] - x0[0, j], x1[1, j] - x0[1, j], x1[2, j] - x0[2, j]
-        gx, gy, gz = c0 - x0[0, j], c1 - x0[1, j], c2 - x0[2, j]
-        far = (gx * dx + gy * dy + gz * dz) / (dx * dx + dy * dy + dz * dz)
-        far = min(max(far, 0.0), 1.0)
-        gx, gy, gz = gx - far * dx, gy - far * dy, gz - far * dz
-        n_touching += 1 if gx * gx + gy * gy + gz * gz < reach[j] * reach[j] else 0
-    return n_touching
+def _touch(cells: Cells, ball: Ball) -> tuple[int, float]:
+    """Push of the ball on every element of the marked records that it overlaps, as `model.Ball` has it.
 
-
-@compiled
-def _touch(pair: Cells, reach: npt.NDArray[np.float64], ball: Ball, n_touching: int) -> None:
-    """Push and drag of the ball on element e, as `model.Ball` has it: add it to both nodes and to the ball's load.
-
-    `give` is what a unit of force at all contacts may change a slip in a step: a node has two elements, the ball
-    `n_touching`. Forces on the centre line and their moments on the ball leave momentum and angular momentum alone.
+    It is added to the forces on both nodes and to the ball's load. Returns the number of elements on which it may rub,
+    which are noted in the order of the model, and the power that the dashpots dissipate [W].
     """
-    here, there = pair[0], pair[1]
-    x0, x1, v0, v1, f0, f1 = here.x, there.x, here.v, there.v, here.force, there.force
-    push0, push1 = here.push, there.push
+    n_touch, lost, load, touches = 0, 0.0, ball.load, ball.touches
     c0, c1, c2 = ball.place[0], ball.place[1], ball.place[2]
-    b0, b1, b2 = ball.speed[0], ball.speed[1], ball.speed[2]
+    v0, v1, v2 = ball.speed[0], ball.speed[1], ball.speed[2]
     w0, w1, w2 = ball.spin[0], ball.spin[1], ball.spin[2]
-    stiffness, damping, friction, slip_speed = ball.stiffness, ball.damping, ball.friction, ball.slip_speed
-    kick, spin_kick = n_touching * ball.kick, n_touching * ball.spin_kick
-    sum0, sum1, sum2, turn0, turn1, turn2, lost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(LANES):
+    for k in range(ball.cell.shape[0]):
+        e, j = ball.cell[k], ball.lane[k]
+        if not ball.close[e]:
+            continue
+        here, there, reach = cells[e], cells[e + 1], ball.reach[e, j]
+        x0, x1, u0, u1, f0, f1 = here.x, there.x, here.v, there.v, here.force, there.force
         dx, dy, dz = x1[0, j] - x0[0, j], x1[1, j] - x0[1, j], x1[2, j] - x0[2, j]
         gx, gy, gz = c0 - x0[0, j], c1 - x0[1, j], c2 - x0[2, j]
         far = (gx * dx + gy * dy + gz * dz) / (dx * dx + dy * dy + dz * dz)
@@ -808,51 +816,118 @@ def _touch(pair: Cells, reach: npt.NDArray[np.float64], ball: Ball, n_touching: 
         near = 1.0 - far
         gx, gy, gz = gx - far * dx, gy - far * dy, gz - far * dz
         square = gx * gx + gy * gy + gz * gz
+        if not square < reach * reach:
+            continue
         inverse = 1.0 / np.sqrt(max(square, _LEAST_SQUARE))
         nx, ny, nz = gx * inverse, gy * inverse, gz * inverse
-        depth = reach[j] - square * inverse
-        ux = b0 - (w1 * gz - w2 * gy) - (near * v0[0, j] + far * v1[0, j])
-        uy = b1 - (w2 * gx - w0 * gz) - (near * v0[1, j] + far * v1[1, j])
-        uz = b2 - (w0 * gy - w1 * gx) - (near * v0[2, j] + far * v1[2, j])
+        ux = v0 - (w1 * gz - w2 * gy) - (near * u0[0, j] + far * u1[0, j])
+        uy = v1 - (w2 * gx - w0 * gz) - (near * u0[1, j] + far * u1[1, j])
+        uz = v2 - (w0 * gy - w1 * gx) - (near * u0[2, j] + far * u1[2, j])
         rate = ux * nx + uy * ny + uz * nz
-        ux, uy, uz = ux - rate * nx, uy - rate * ny, uz - rate * nz
-        slip = ux * ux + uy * uy + uz * uz
-        spring = stiffness * depth if depth > 0.0 else 0.0
-        normal = max(spring - damping * rate, 0.0) if depth > 0.0 else 0.0
-        give = 2.0 * (push0[j] * near * near + push1[j] * far * far) + kick + spin_kick * square
-        most = friction * normal
-        drag = most / max(max(np.sqrt(slip), slip_speed), _GRIP * most * give)
-        fx, fy, fz = normal * nx - drag * ux, normal * ny - drag * uy, normal * nz - drag * uz
-        f0[0, j] -= near * fx
-        f0[1, j] -= near * fy
-        f0[2, j] -= near * fz
-        f1[0, j] -= far * fx
-        f1[1, j] -= far * fy
-        f1[2, j] -= far * fz
-        sum0 += fx
-        sum1 += fy
-        sum2 += fz
-        turn0 -= gy * fz - gz * fy
-        turn1 -= gz * fx - gx * fz
-        turn2 -= gx * fy - gy * fx
-        lost += (spring - normal) * rate + drag * slip
-    load = ball.load
-    load[0] += sum0
-    load[1] += sum1
-    load[2] += sum2
-    load[3] += turn0
-    load[4] += turn1
-    load[5] += turn2
-    load[6] += lost
+        spring = ball.stiffness * (reach - square * inverse)
+        push = max(spring - ball.damping * rate, 0.0)
+        lost += (spring - push) * rate
+        for i, force in ((0, push * nx), (1, push * ny), (2, push * nz)):
+            f0[i, j] -= near * force
+            f1[i, j] -= far * force
+            load[i] += force
+        if ball.friction * push > 0.0:
+            touch = touches[n_touch]
+            touch.cell, touch.lane, touch.far, touch.most = e, j, far, ball.friction * push
+            touch.near_push, touch.far_push = here.push[j] * near, there.push[j] * far
+            give = ball.kick + ball.spin_kick * square + near * touch.near_push + far * touch.far_push
+            touch.inv_give = 1.0 / give
+            gap, normal, early, drag = touch.gap, touch.normal, touch.early, touch.drag
+            gap[0], gap[1], gap[2] = gx, gy, gz
+            normal[0], normal[1], normal[2] = nx, ny, nz
+            early[0], early[1], early[2] = ux - rate * nx, uy - rate * ny, uz - rate * nz
+            drag[0], drag[1], drag[2] = 0.0, 0.0, 0.0
+            n_touch += 1
+    return n_touch, lost
 
 
 @compiled
-def _move_ball(ball: Ball, drift: float) -> None:
-    """Kick and drift the ball; its spin needs no frame, for it is the same about every axis."""
+def _rub(cells: Cells, ball: Ball, n_touch: int, drift: float) -> float:
+    """Friction of the ball on the velocities that all else left; make up for it in what has drifted; its power [W].
+
+    The friction of one touch changes the slip of others. That of all together is the one that leaves the least kinetic
+    energy that they can: it takes all slip where it may, and else is full and against it. Sweeps over the touches, each
+    in turn as if the others were right, lower that energy every time, so friction feeds nothing however early they end.
+    """
+    n_node, largest = 0, 0.0
+    for k in range(n_touch):
+        touch = ball.touches[k]
+        before, j = ball.touches[max(k - 1, 0)], touch.lane
+        largest = max(largest, touch.most)
+        follows = k > 0 and before.cell + 1 == touch.cell and before.lane == j
+        touch.first = before.second if follows else n_node
+        touch.second = touch.first + 1
+        n_node = touch.second + 1
+        for i in range(3):
+            ball.nodes[touch.first, i] = cells[touch.cell].v[i, j]
+            ball.nodes[touch.second, i] = cells[touch.cell + 1].v[i, j]
+    for _ in range(_SWEEPS):
+        if not _sweep(ball, n_touch) > (_EVEN * largest) ** 2:
+            break
+    lost = 0.0
+    for k in range(n_touch):
+        touch = ball.touches[k]
+        here, there, j = cells[touch.cell], cells[touch.cell + 1], touch.lane
+        for i in range(3):
+            lost -= 0.5 * touch.drag[i] * (touch.early[i] + _slip(ball, touch, i))
+        for i in range(3):
+            for node, row in ((here, touch.first), (there, touch.second)):
+                node.x[i, j] += drift * (ball.nodes[row, i] - node.v[i, j])
+                node.v[i, j] = ball.nodes[row, i]
     for i in range(3):
-        ball.speed[i] += ball.kick * (ball.load[i] + ball.force[i])
-        ball.spin[i] += ball.spin_kick * ball.load[3 + i]
         ball.place[i] += drift * ball.speed[i]
+    return lost
+
+
+@compiled
+def _slip(ball: Ball, touch: Any, i: int) -> float:
+    """Component of the velocity of the ball over that of an element where they touch [m/s]."""
+    j, k = (i + 1) % 3, (i + 2) % 3
+    turning = ball.spin[j] * touch.gap[k] - ball.spin[k] * touch.gap[j]
+    near, far = ball.nodes[touch.first, i], ball.nodes[touch.second, i]
+    return float(ball.speed[i] - turning - near - touch.far * (far - near))
+
+
+@compiled
+def _sweep(ball: Ball, n_touch: int) -> float:
+    """Let the friction of each touch take all slip there, if it can; return the square of the largest change [N^2]."""
+    speed, spin, nodes, kick, spin_kick = ball.speed, ball.spin, ball.nodes, ball.kick, ball.spin_kick
+    v0, v1, v2, w0, w1, w2 = speed[0], speed[1], speed[2], spin[0], spin[1], spin[2]
+    change = 0.0
+    for k in range(n_touch):
+        touch = ball.touches[k]
+        gap, normal, drag, a, b, far = touch.gap, touch.normal, touch.drag, touch.first, touch.second, touch.far
+        g0, g1, g2, n0, n1, n2 = gap[0], gap[1], gap[2], normal[0], normal[1], normal[2]
+        a0, a1, a2 = nodes[a, 0], nodes[a, 1], nodes[a, 2]
+        b0, b1, b2 = nodes[b, 0], nodes[b, 1], nodes[b, 2]
+        u0 = v0 - (w1 * g2 - w2 * g1) - a0 - far * (b0 - a0)
+        u1 = v1 - (w2 * g0 - w0 * g2) - a1 - far * (b1 - a1)
+        u2 = v2 - (w0 * g1 - w1 * g0) - a2 - far * (b2 - a2)
+        rate = u0 * n0 + u1 * n1 + u2 * n2
+        f0 = drag[0] - (u0 - rate * n0) * touch.inv_give
+        f1 = drag[1] - (u1 - rate * n1) * touch.inv_give
+        f2 = drag[2] - (u2 - rate * n2) * touch.inv_give
+        size = f0 * f0 + f1 * f1 + f2 * f2
+        if size > touch.most * touch.most:
+            share = touch.most / np.sqrt(size)
+            f0, f1, f2 = share * f0, share * f1, share * f2
+        d0, d1, d2 = f0 - drag[0], f1 - drag[1], f2 - drag[2]
+        drag[0], drag[1], drag[2] = f0, f1, f2
+        change = max(change, d0 * d0 + d1 * d1 + d2 * d2)
+        near_push, far_push = touch.near_push, touch.far_push
+        nodes[a, 0], nodes[a, 1], nodes[a, 2] = a0 - near_push * d0, a1 - near_push * d1, a2 - near_push * d2
+        nodes[b, 0], nodes[b, 1], nodes[b, 2] = b0 - far_push * d0, b1 - far_push * d1, b2 - far_push * d2
+        v0, v1, v2 = v0 + kick * d0, v1 + kick * d1, v2 + kick * d2
+        w0 -= spin_kick * (g1 * d2 - g2 * d1)
+        w1 -= spin_kick * (g2 * d0 - g0 * d2)
+        w2 -= spin_kick * (g0 * d1 - g1 * d0)
+    speed[0], speed[1], speed[2], spin[0], spin[1], spin[2] = v0, v1, v2, w0, w1, w2
+    return change
 
 
 @compiled
@@ -1071,10 +1146,13 @@ def advance(
         if account is not None:
             _muscle_work(cells, active, account, hill, True, 0.0)
         if ball is not None:
-            _touch_all(cells, passive, active, ball)
-            _move_ball(ball, drift)
+            ball.load[:], n_touch, lost = 0.0, 0, 0.0
+            if _find_close(cells, passive, active, ball):
+                n_touch, lost = _touch(cells, ball)
+            for i in range(3):
+                ball.speed[i] += ball.kick * (ball.load[i] + ball.force[i])
             if account is not None:
-                account.total[2] += dt * ball.load[6]
+                account.total[2] += dt * lost
         if contact is not None:
             if _find_ends(cells, contact) > 0.25 * contact.skin * contact.skin:
                 pairs, n_pairs = list_pairs(cells, contact)
@@ -1089,6 +1167,10 @@ def advance(
         _step_blocks(
             cells, work, active, dt, drift, 1.0, hill, couples, spin_damping, symmetric, loads, ground, account
         )
+        if ball is not None:
+            lost = _rub(cells, ball, n_touch, drift)
+            if account is not None:
+                account.total[2] += dt * lost
         if account is not None:
             if joint_damping is not None:
                 _joint_loss(cells, joints, joint_damping, account, dt)

@@ -7,6 +7,7 @@ rests at the depth of its weight over the stiffness or at none at all, as gravit
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any, cast
@@ -38,9 +39,8 @@ _START = np.float64(0.0)
 _LARGEST_RATE = 300.0
 """Damping this large leaves no speed worth counting; without the bound what it left would overflow."""
 
-
-_GRIP = 2.0
-"""The friction of all contacts together takes at most one over this of a slip within a step."""
+_SWEEPS, _EVEN = 12, 1e-9
+"""Sweeps over the friction of the ball, at most; they end when none changed by more than this share of the largest."""
 
 
 class _Assembly(BaseSystemCollection, Constraints, Connections, Forcing, Damping):
@@ -155,66 +155,140 @@ class _PointLoads(NoForces[CosseratRod]):
         system.external_torques += self.torques
 
 
-class _BallContact(NoForces[Sphere]):
-    """Constant force on the ball, and its contact with every rod, as `model.Ball` has it.
+class _Hold:
+    """Where the ball touches elements in a step, n of them: written by its contact, read by its friction.
 
-    PyElastica's RodSphereContact takes the middles of elements for their starts, half an element off, and its friction
-    turns no ball. All rods are here at once, for the bound on friction asks how many elements the ball overlaps.
-    `node_push`, shape (n_node,), and `push`, two numbers, are what a unit of force (torque) adds to a velocity (spin)
-    in a step. `lost` gathers the power dissipated [W], shape (1,).
+    `first` holds the row of each element's first node, `share` what its nodes bear by the lever rule, shape (2, n);
+    `gap` [m] leads from the centre line to the ball's centre, along `normal`, and `early` is the slip before the kick
+    [m/s], shape (n, 3); `most` is the largest friction [N], shape (n,).
     """
 
-    def __init__(
-        self,
-        model: RodModel,
-        ball: Ball,
-        rods: list[CosseratRod],
-        node_push: FloatArray,
-        push: tuple[float, float],
-        lost: FloatArray,
-    ) -> None:
+    def __init__(self) -> None:
+        self.first = np.zeros(0, np.int64)
+        self.share, self.gap, self.normal, self.early = np.zeros((2, 0)), *np.zeros((3, 0, 3))
+        self.most = np.zeros(0)
+
+    def slip(self, ball: Sphere, rods: list[CosseratRod]) -> tuple[FloatArray, FloatArray]:
+        """Velocity of the ball over each element [m/s], along the surface, shape (n, 3), and off it, shape (n,)."""
+        spin = ball.director_collection[..., 0].T @ ball.omega_collection[:, 0]
+        speed = np.concatenate([rod.velocity_collection.T for rod in rods])
+        near, far = self.share[..., None]
+        apart = ball.velocity_collection[:, 0] - np.cross(spin, self.gap)
+        apart = apart - near * speed[self.first] - far * speed[self.first + 1]
+        rate = np.sum(apart * self.normal, axis=1)
+        return apart - rate[:, None] * self.normal, rate
+
+
+class _BallContact(NoForces[Sphere]):
+    """Constant force on the ball, and the normal force of its contact with every rod, as `model.Ball` has it.
+
+    PyElastica's RodSphereContact takes the middles of elements for their starts, half an element off, and its friction
+    turns no ball. All rods are here at once, as the friction of each touch depends on that of others. `hold` is what
+    is touched, `lost` gathers the power dissipated [W], shape (1,).
+    """
+
+    def __init__(self, model: RodModel, ball: Ball, rods: list[CosseratRod], hold: _Hold, lost: FloatArray) -> None:
         super().__init__()
-        self.ball, self.rods, self.node_push, self.push, self.lost = ball, rods, node_push, push, lost
+        self.ball, self.rods, self.hold, self.lost = ball, rods, hold, lost
         self.reach = ball.radius + np.concatenate([rod.radius for rod in model.rods])
         self.rows = [model.nodes(index) for index in range(model.n_rod)]
         self.first = np.delete(np.arange(model.n_node), model.node_offset[1:] - 1)
 
     def apply_forces(self, system: Sphere, time: np.float64 = _START) -> None:
-        ball = self.ball
+        ball, hold = self.ball, self.hold
         system.external_forces[:, 0] += ball.force
-        place = np.concatenate([rod.position_collection for rod in self.rods], axis=1)
-        start, side = place[:, self.first], place[:, self.first + 1] - place[:, self.first]
-        gap = system.position_collection - start
-        far = np.clip(np.sum(gap * side, axis=0) / np.sum(side * side, axis=0), 0.0, 1.0)
-        gap = gap - far * side
-        hit = np.flatnonzero(np.linalg.norm(gap, axis=0) < self.reach)
-        if hit.size == 0:
-            return
-        a, b, far, gap = self.first[hit], self.first[hit] + 1, far[hit], gap[:, hit]
-        near, distance = 1.0 - far, np.linalg.norm(gap, axis=0)
-        normal = gap / np.where(distance > 0.0, distance, 1.0)
-        speed = np.concatenate([rod.velocity_collection for rod in self.rods], axis=1)
-        frame = system.director_collection[..., 0]
-        spin = frame.T @ system.omega_collection[:, 0]
-        slip = system.velocity_collection - np.cross(spin, gap.T).T - near * speed[:, a] - far * speed[:, b]
-        rate = np.sum(slip * normal, axis=0)
-        slip = slip - rate * normal
-        spring = ball.stiffness * (self.reach[hit] - distance)
+        place = np.concatenate([rod.position_collection.T for rod in self.rods])
+        start, side = place[self.first], place[self.first + 1] - place[self.first]
+        gap = system.position_collection[:, 0] - start
+        far = np.clip(np.sum(gap * side, axis=1) / np.sum(side * side, axis=1), 0.0, 1.0)
+        gap = gap - far[:, None] * side
+        distance = np.linalg.norm(gap, axis=1)
+        hit = np.flatnonzero(distance < self.reach)
+        hold.first, hold.share, hold.gap = self.first[hit], np.stack([1.0 - far[hit], far[hit]]), gap[hit]
+        hold.normal = gap[hit] / np.where(distance > 0.0, distance, 1.0)[hit, None]
+        hold.early, rate = hold.slip(system, self.rods)
+        spring = ball.stiffness * (self.reach - distance)[hit]
         push = np.maximum(spring - ball.damping * rate, 0.0)
-        give = 2.0 * (near**2 * self.node_push[a] + far**2 * self.node_push[b])
-        give = give + hit.size * (self.push[0] + self.push[1] * distance**2)
-        slip_speed = np.linalg.norm(slip, axis=0)
-        drag = ball.friction * push
-        drag = drag / np.maximum(np.maximum(slip_speed, ball.slip_speed), _GRIP * drag * give)
-        force = push * normal - drag * slip
-        system.external_forces[:, 0] += force.sum(axis=1)
-        system.external_torques[:, 0] -= frame @ np.cross(gap.T, force.T).sum(axis=0)
-        on_node = np.zeros((place.shape[1], 3))
-        np.subtract.at(on_node, a, (near * force).T)
-        np.subtract.at(on_node, b, (far * force).T)
+        hold.most = ball.friction * push
+        system.external_forces[:, 0] += push @ hold.normal
+        on_node = np.zeros_like(place)
+        for node, share in zip((hold.first, hold.first + 1), hold.share, strict=True):
+            np.subtract.at(on_node, node, (share * push)[:, None] * hold.normal)
         for rod, rows in zip(self.rods, self.rows, strict=True):
             rod.external_forces += on_node[rows].T
-        self.lost += float(np.sum((spring - push) * rate + drag * slip_speed**2))
+        self.lost += float(np.sum((spring - push) * rate))
+
+
+class _BallFriction(DamperBase[Sphere]):
+    """Coulomb friction of the ball: impulses against the slip that all else left, bounded by the normal ones.
+
+    Which friction takes all slip follows from what a unit of each changes any slip by, an array of shape (3 n, 3 n),
+    by the projected method of Gauss and Seidel, in the order of the elements. It comes last of all, see
+    `_GroundFriction`. A unit of force adds `node_push`, shape (n_node,), to the velocity of a node in a step; `push`
+    are the two numbers of the ball, for force and torque.
+    """
+
+    def __init__(
+        self,
+        rods: list[CosseratRod],
+        hold: _Hold,
+        node_push: FloatArray,
+        push: tuple[float, float],
+        lost: FloatArray,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(**kwargs)
+        self.rods, self.hold, self.node_push, self.push, self.lost = rods, hold, node_push, push, lost
+        self.rows = np.cumsum([0] + [len(rod.mass) for rod in rods])
+
+    def dampen_rates(self, system: Sphere, time: np.float64 = _START) -> None:
+        hold, rubs = self.hold, np.flatnonzero(self.hold.most > 0.0)
+        if rubs.size == 0:
+            return
+        drag = np.zeros_like(hold.gap)
+        slip, _ = hold.slip(system, self.rods)
+        drag[rubs] = self._balance(slip[rubs], rubs)
+        moment = np.cross(hold.gap, drag).sum(axis=0)
+        system.velocity_collection[:, 0] += self.push[0] * drag.sum(axis=0)
+        system.omega_collection[:, 0] -= system.director_collection[..., 0] @ (self.push[1] * moment)
+        on_node = np.zeros((self.rows[-1], 3))
+        for node, share in zip((hold.first, hold.first + 1), hold.share, strict=True):
+            np.add.at(on_node, node, share[:, None] * drag)
+        moved = self.node_push[:, None] * on_node
+        for rod, first, last in zip(self.rods, self.rows[:-1], self.rows[1:], strict=True):
+            rod.velocity_collection -= moved[first:last].T
+        slip, _ = hold.slip(system, self.rods)
+        self.lost -= 0.5 * float(np.sum(drag * (hold.early + slip)))
+
+    def _balance(self, slip: FloatArray, rubs: IntArray) -> FloatArray:
+        """Friction [N] of the touches `rubs`, given the slip there without any [m/s], both of shape (n, 3)."""
+        own, response = self._response(rubs)
+        most, drag = self.hold.most[rubs], np.zeros_like(slip)
+        for _ in range(_SWEEPS):
+            before = drag.copy()
+            for k, (row, bound) in enumerate(zip(response, most.tolist(), strict=True)):
+                new = drag[k] - (slip[k] + row @ drag.ravel()) / own[k]
+                size = math.sqrt(new @ new)
+                drag[k] = new if size <= bound else bound / size * new
+            if not np.linalg.norm(drag - before, axis=1).max() > _EVEN * most.max():
+                break
+        return drag
+
+    def _response(self, rubs: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Change of the slip of each touch in a step, per unit of its own friction and of that of any [m/(N s)].
+
+        Of the shapes (n,) and (n, 3, 3 n): the former is one number in all directions along the surface.
+        """
+        first, share, gap = self.hold.first[rubs], self.hold.share[:, rubs], self.hold.gap[rubs]
+        normal, n_rub = self.hold.normal[rubs], len(rubs)
+        bears = np.zeros((n_rub, len(self.node_push)))
+        bears[np.arange(n_rub), first], bears[np.arange(n_rub), first + 1] = share
+        alike = self.push[0] + self.push[1] * (gap @ gap.T) + (bears * self.node_push) @ bears.T
+        response = alike[:, None, :, None] * np.eye(3)[:, None]
+        response = response - self.push[1] * np.einsum("bi,aj->aibj", gap, gap)
+        along = np.eye(3) - normal[:, :, None] * normal[:, None, :]
+        response = np.einsum("aij,ajbk,bkl->aibl", along, response, along, optimize=True)
+        return np.diag(alike), response.reshape(n_rub, 3, 3 * n_rub)
 
 
 class _SelfContact(NoForces[CosseratRod]):
@@ -370,6 +444,7 @@ class PyElasticaEngine(Engine):
         self._tension = np.zeros((model.n_muscle, 1))
         self._contact_loss = np.zeros(1)
         self._ball: Sphere | None = None
+        self._hold = _Hold()
         self._footing: list[_Footing] = []
         self._n_pulled = sum(model.rods[index].n_elem for index in model.muscles)
         self._acting = np.zeros(self._n_pulled + len(model.lines))
@@ -422,22 +497,29 @@ class PyElasticaEngine(Engine):
                 simulator.dampen(made).using(_NodeDamper, node_damping, rod.rotational_damping, time_step=self.dt)
         if model.ground is not None:
             self._lay_ground(simulator, model.ground)
+        if model.bolus is not None and model.bolus.friction > 0.0:
+            self._rub_ball(simulator, model.bolus)
         simulator.finalize()
         return simulator
 
     def _add_ball(self, simulator: _Assembly, ball: Ball) -> None:
-        """Add the ball, its force, and its contact with every rod; clamped nodes give way to no force."""
+        """Add the ball, its force, and its contact with every rod."""
         self._ball = Sphere(ball.position.copy(), ball.radius, ball.mass / (4.0 / 3.0 * np.pi * ball.radius**3))
         simulator.append(self._ball)
+        simulator.add_forcing_to(self._ball).using(
+            _BallContact, self.model, ball, self._rods, self._hold, self._contact_loss
+        )
+
+    def _rub_ball(self, simulator: _Assembly, ball: Ball) -> None:
+        """Add the friction of the ball; clamped nodes give way to none."""
         model = self.model
         push = self.dt / model.node_mass * np.exp(-model.node_damping / model.node_mass * self.dt)
         for clamp in model.clamps:
             if clamp.node is not None:
                 push[model.nodes(clamp.rod)][clamp.node] = 0.0
         ball_push = self.dt / ball.mass, self.dt / ball.inertia
-        simulator.add_forcing_to(self._ball).using(
-            _BallContact, model, ball, self._rods, push, ball_push, self._contact_loss
-        )
+        damped = simulator.dampen(cast(CosseratRod, self._ball))  # takes any system, annotated as rods
+        damped.using(_BallFriction, self._rods, self._hold, push, ball_push, self._contact_loss)
 
     def _lay_ground(self, simulator: _Assembly, ground: Ground) -> None:
         axis = None if ground.isotropic else np.zeros(3)
