@@ -279,15 +279,15 @@ class _BallFriction(DamperBase[Sphere]):
 
         Of the shapes (n,) and (n, 3, 3 n): the former is one number in all directions along the surface.
         """
-        first, share, gap = self.hold.first[rubs], self.hold.share[:, rubs], self.hold.gap[rubs]
-        normal, n_rub = self.hold.normal[rubs], len(rubs)
-        bears = np.zeros((n_rub, len(self.node_push)))
-        bears[np.arange(n_rub), first], bears[np.arange(n_rub), first + 1] = share
-        alike = self.push[0] + self.push[1] * (gap @ gap.T) + (bears * self.node_push) @ bears.T
-        response = alike[:, None, :, None] * np.eye(3)[:, None]
-        response = response - self.push[1] * np.einsum("bi,aj->aibj", gap, gap)
-        along = np.eye(3) - normal[:, :, None] * normal[:, None, :]
-        response = np.einsum("aij,ajbk,bkl->aibl", along, response, along, optimize=True)
+        gap, normal, n_rub = self.hold.gap[rubs], self.hold.normal[rubs], len(rubs)
+        node = self.hold.first[rubs] + np.array([[0], [1]])
+        alike = self.push[0] + self.push[1] * (gap @ gap.T)
+        for one, share in zip(node, self.hold.share[:, rubs], strict=True):
+            given = self.node_push[one] * share
+            for other, bears in zip(node, self.hold.share[:, rubs], strict=True):
+                alike += np.where(one[:, None] == other, given[:, None] * bears, 0.0)
+        response = alike[:, None, :, None] * np.eye(3)[:, None] - self.push[1] * np.einsum("bi,aj->aibj", gap, gap)
+        response -= normal[:, :, None, None] * np.einsum("ai,aibj->abj", normal, response)[:, None]
         return np.diag(alike), response.reshape(n_rub, 3, 3 * n_rub)
 
 
