@@ -25,7 +25,7 @@ import numpy as np
 
 from lattice_gym.design import FloatArray, IntArray
 from lattice_gym.engines import MIN_DILATATION, Splitting, damping_shares
-from lattice_gym.model import Joint, Line, RodModel, rotation_between
+from lattice_gym.model import Ball, Joint, Line, RodModel, rotation_between
 
 SAFETY = 0.72
 """Share of the computed limit that `stable_dt` gives. Chosen on the report's grid and its random designs of seed 0."""
@@ -47,6 +47,9 @@ N_LANCZOS = 80
 """Steps k of Lanczos' iteration: from a random start the largest of n eigenvalues is then expected to within
 0.103 (ln(n (k - 1)^4) / (k - 1))^2 (Kuczynski and Wozniakowski 1992, SIAM J. Matrix Anal. Appl. 13), 1.4 % of it and
 0.7 % of the step for a hundred thousand."""
+
+N_CENTRES = 256
+"""Elements, at most, at whose middles it is looked how much a ball reaches from there."""
 
 _MAX_ROUNDS = 100
 _ROUND_TOLERANCE = 2e-3
@@ -266,9 +269,6 @@ class _Linear:
                 self.dashpots.append(_Floor(model.contact.damping * crowded))
         ball = model.bolus
         self.contact = (0.0, 0.0) if ball is None else (ball.stiffness, ball.damping)
-        touching = np.full(model.n_node, 2.0)
-        touching[model.node_offset[:-1]] = touching[model.node_offset[1:] - 1] = 1.0
-        self.touching = touching
 
         self.n_node, self.n_elem = model.n_node, model.n_elem
         damping = np.repeat([rod.rotational_damping for rod in rods], n_elem)
@@ -286,6 +286,16 @@ class _Linear:
             if clamp.element is not None:
                 free_element[model.element_offset[clamp.rod] + clamp.element] = 0.0
         self.free = np.concatenate([free_node.ravel(), free_element.ravel(), np.ones(3 * model.n_bolus)])
+        self.on_ball = 0.0 if ball is None else _most_touched(model, ball)
+        self.on_node = np.full(model.n_node, 2.0)
+        self.on_node[model.node_offset[:-1]] = self.on_node[model.node_offset[1:] - 1] = 1.0
+        if ball is not None:
+            given, taken = (
+                (self.on_node / model.node_mass)[free_node[:, 0] > 0.0].max(initial=0.0),
+                self.on_ball / ball.mass,
+            )
+            self.on_node *= (given + taken) / given if given > 0.0 else 1.0
+            self.on_ball *= (given + taken) / taken if taken > 0.0 else 1.0
 
     def largest_dt(self, splitting: Splitting | None) -> float:
         """Largest stable step [s]; without dampers (but with dashpots) where splitting is None.
@@ -369,18 +379,36 @@ class _Linear:
         return against
 
     def _ball_force(self, x: FloatArray, contact: float) -> FloatArray:
-        """Force against x of a spring (dashpot) between the ball and either end of every element; 0 without a ball.
+        """Force against x of springs (dashpots) between the ball and the elements it touches; 0 without a ball.
 
-        What it touches changes. By the lever rule a contact bears no more than two springs of its stiffness, one at
-        either end of the element, whatever the normal; and what it touches bears no more than all that it may touch.
+        What it touches changes. By the lever rule a contact between the shares p and q bears, for any s > 0, no more
+        than p (1 + 1/s) and q (1 + 1/s) of its stiffness at either node and 1 + s at the ball, whatever the normal.
+        Here every node bears both its elements in full, and the ball all that it may touch; s makes its rate and that
+        of the lightest node alike, the sum of both alone.
         """
         against = np.zeros_like(x)
         if contact > 0.0:
             n_node = 3 * self.n_node
-            pull = contact * self.touching[:, None] * (x[:n_node].reshape(-1, 3) - x[-3:])
-            against[:n_node] = pull.ravel()
-            against[-3:] = -pull.sum(axis=0)
+            against[:n_node] = (contact * self.on_node[:, None] * x[:n_node].reshape(-1, 3)).ravel()
+            against[-3:] = contact * self.on_ball * x[-3:]
         return against
+
+
+def _most_touched(model: RodModel, ball: Ball) -> float:
+    """Elements that a ball touches at once, at most: those within its reach at rest, wherever its centre is on a rod.
+
+    An assumption, no bound: elements come closer to each other where rods are squeezed.
+    """
+    place = model.rest_state().position
+    start = np.delete(place, model.node_offset[1:] - 1, axis=0)
+    side = np.delete(place, model.node_offset[:-1], axis=0) - start
+    square, reach = np.sum(side**2, axis=1), (1.0 + 1e-6) * (ball.radius + model.element_radius)
+    most = 0
+    for centre in [ball.position, *(start + 0.5 * side)[:: math.ceil(model.n_elem / N_CENTRES)]]:
+        gap = centre - start
+        far = np.clip(np.sum(gap * side, axis=1) / square, 0.0, 1.0)
+        most = max(most, int(np.sum(np.sum((gap - far[:, None] * side) ** 2, axis=1) < reach**2)))
+    return float(most)
 
 
 def _largest_eigenvalue(apply: Callable[[FloatArray], FloatArray], size: int) -> float:

@@ -293,8 +293,9 @@ _VERSINE = _series(lambda t2: 2.0 * np.sin(0.5 * np.sqrt(t2)) ** 2 / t2, 5, _LAR
 # Of y, (1 - exp(-y)) / y:
 _LARGE_DECAY = 0.25
 _TAIL = _series(lambda y: -np.expm1(-y) / y, 8, _LARGE_DECAY)
-# Sweeps over the friction of the ball, at most; they end when none changed by more than this share of the largest.
-_SWEEPS = 12
+# Sweeps forth and back over the friction of the ball, at most; they end when none changed by more than this share of
+# the largest that may be.
+_SWEEPS = 6
 _EVEN = 1e-9
 _LEAST_SQUARE = 1e-300
 # As `contact.PARALLEL`.
@@ -853,6 +854,8 @@ def _rub(cells: Cells, ball: Ball, n_touch: int, drift: float) -> float:
     The friction of one touch changes the slip of others. That of all together is the one that leaves the least kinetic
     energy that they can: it takes all slip where it may, and else is full and against it. Sweeps over the touches, each
     in turn as if the others were right, lower that energy every time, so friction feeds nothing however early they end.
+    They go forth and back: what they leave then answers to the slip by a symmetric matrix, as a dashpot does. Sweeps in
+    one direction leave some that, over many steps, drives what sticks.
     """
     n_node, largest = 0, 0.0
     for k in range(n_touch):
@@ -867,7 +870,8 @@ def _rub(cells: Cells, ball: Ball, n_touch: int, drift: float) -> float:
             ball.nodes[touch.first, i] = cells[touch.cell].v[i, j]
             ball.nodes[touch.second, i] = cells[touch.cell + 1].v[i, j]
     for _ in range(_SWEEPS):
-        if not _sweep(ball, n_touch) > (_EVEN * largest) ** 2:
+        change = _sweep(ball, n_touch, False)
+        if not max(change, _sweep(ball, n_touch, True)) > (_EVEN * largest) ** 2:
             break
     lost = 0.0
     for k in range(n_touch):
@@ -894,13 +898,16 @@ def _slip(ball: Ball, touch: Any, i: int) -> float:
 
 
 @compiled
-def _sweep(ball: Ball, n_touch: int) -> float:
-    """Let the friction of each touch take all slip there, if it can; return the square of the largest change [N^2]."""
+def _sweep(ball: Ball, n_touch: int, back: bool) -> float:
+    """Let the friction of each touch take all slip there, if it can, from the first to the last or `back`.
+
+    Returns the square of the largest change [N^2].
+    """
     speed, spin, nodes, kick, spin_kick = ball.speed, ball.spin, ball.nodes, ball.kick, ball.spin_kick
     v0, v1, v2, w0, w1, w2 = speed[0], speed[1], speed[2], spin[0], spin[1], spin[2]
     change = 0.0
-    for k in range(n_touch):
-        touch = ball.touches[k]
+    for step in range(n_touch):
+        touch = ball.touches[n_touch - 1 - step if back else step]
         gap, normal, drag, a, b, far = touch.gap, touch.normal, touch.drag, touch.first, touch.second, touch.far
         g0, g1, g2, n0, n1, n2 = gap[0], gap[1], gap[2], normal[0], normal[1], normal[2]
         a0, a1, a2 = nodes[a, 0], nodes[a, 1], nodes[a, 2]

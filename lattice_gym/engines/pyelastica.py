@@ -39,8 +39,9 @@ _START = np.float64(0.0)
 _LARGEST_RATE = 300.0
 """Damping this large leaves no speed worth counting; without the bound what it left would overflow."""
 
-_SWEEPS, _EVEN = 12, 1e-9
-"""Sweeps over the friction of the ball, at most; they end when none changed by more than this share of the largest."""
+_SWEEPS, _EVEN = 6, 1e-9
+"""Sweeps forth and back over the friction of the ball, at most; they end when none changed by more than this share of
+the largest that may be."""
 
 
 class _Assembly(BaseSystemCollection, Constraints, Connections, Forcing, Damping):
@@ -223,7 +224,7 @@ class _BallFriction(DamperBase[Sphere]):
     """Coulomb friction of the ball: impulses against the slip that all else left, bounded by the normal ones.
 
     Which friction takes all slip follows from what a unit of each changes any slip by, an array of shape (3 n, 3 n),
-    by the projected method of Gauss and Seidel, in the order of the elements. It comes last of all, see
+    by the projected method of Gauss and Seidel, in the order of the elements and back. It comes last of all, see
     `_GroundFriction`. A unit of force adds `node_push`, shape (n_node,), to the velocity of a node in a step; `push`
     are the two numbers of the ball, for force and torque.
     """
@@ -264,13 +265,17 @@ class _BallFriction(DamperBase[Sphere]):
         """Friction [N] of the touches `rubs`, given the slip there without any [m/s], both of shape (n, 3)."""
         own, response = self._response(rubs)
         most, drag = self.hold.most[rubs], np.zeros_like(slip)
+        forth = range(len(rubs))
         for _ in range(_SWEEPS):
-            before = drag.copy()
-            for k, (row, bound) in enumerate(zip(response, most.tolist(), strict=True)):
-                new = drag[k] - (slip[k] + row @ drag.ravel()) / own[k]
-                size = math.sqrt(new @ new)
-                drag[k] = new if size <= bound else bound / size * new
-            if not np.linalg.norm(drag - before, axis=1).max() > _EVEN * most.max():
+            change = 0.0
+            for order in (forth, reversed(forth)):
+                before = drag.copy()
+                for k in order:
+                    new = drag[k] - (slip[k] + response[k] @ drag.ravel()) / own[k]
+                    size = math.sqrt(new @ new)
+                    drag[k] = new if size <= most[k] else most[k] / size * new
+                change = max(change, float(np.linalg.norm(drag - before, axis=1).max()))
+            if not change > _EVEN * most.max():
                 break
         return drag
 

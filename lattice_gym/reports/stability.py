@@ -15,6 +15,9 @@ tensions changed by at most 0.1 %: if that alone moves a node by more than 1 % o
 the run fails, the case has no place to 1 % to be compared with (it buckles, or is undamped and chaotic), and is listed
 apart under that criterion. Where the limit is more than 2.5 predictions, it is measured again over ten times as long:
 heavily damped muscles have not shortened after 2,000 steps, and not met what limits them.
+
+With a ball inside, and with rods that touch, the prediction is for all that may touch at once; as less does, it is held
+only to be no longer than the limit.
 """
 
 from __future__ import annotations
@@ -40,7 +43,7 @@ from lattice_gym.model import RodModel, build_model
 from lattice_gym.muscles import advance_activation, named_layout
 from lattice_gym.reports.provenance import provenance, table, write
 from lattice_gym.stability import stable_dt
-from lattice_gym.world import Ground, Medium, World
+from lattice_gym.world import Bolus, Contact, Ground, Medium, World
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,7 +82,11 @@ GRID: dict[str, dict[str, tuple[float, ...]]] = {
     "load": {"tension": (0, 0.5, 1, 2, 4), "modulus": (0.01, 0.1, 1, 10, 100, 1000)},
     "damping": {"damping": (0, 1, 10, 100, 1000), "connection": (1, 10, 100, 1e3, 1e4, 1e5)},
     "ground": {"ground": (1, 10, 100, 1e3, 1e4, 1e5), "dashpot": (0, 0.5, 1, 2)},
+    "ball": {"ball": (1, 10, 100, 1e3, 1e4), "density": (0.01, 0.1, 1, 10)},
+    "contact": {"contact": (0.1, 1, 10, 100, 1e3), "tension": (2, 3, 4)},
 }
+BALL_RADIUS, BALL_LEVEL = 0.016, 2.0
+"""Of a ball [m] that just fits into a ring of three pairs of rods, which closes on it as its muscles pull."""
 LABELS = {
     "modulus": "Young's moduli / default",
     "connection": "connection stiffness / default",
@@ -89,6 +96,9 @@ LABELS = {
     "damping": "damping / default",
     "ground": "ground's stiffness / default",
     "dashpot": "ground's damping ratio / default",
+    "ball": "stiffness of the ball / default",
+    "density": "its density / default",
+    "contact": "stiffness of rods that touch / default",
 }
 
 
@@ -140,10 +150,9 @@ def grid_cases(quick: bool) -> Iterator[Case]:
         for b in ys[:: 2 if quick else 1]:
             for a in xs[:: 2 if quick else 1]:
                 factors = {x: a, y: b}
-                if group == "ground":
-                    yield Case(group, _scaled({}, n_pairs=3, base="free"), factors, lying(a, b).to_dict())
-                else:
-                    yield Case(group, _scaled(factors, n_pairs=3), factors)
+                base = "free" if group == "ground" else "clamped"
+                world = WORLDS[group](a, b).to_dict() if group in WORLDS else {}
+                yield Case(group, _scaled(factors, n_pairs=3, base=base), factors, world)
 
 
 def lying(stiffness: float, damping_ratio: float) -> World:
@@ -152,6 +161,28 @@ def lying(stiffness: float, damping_ratio: float) -> World:
     damping = damping_ratio * math.sqrt(stiffness) * default.damping
     ground = replace(default, stiffness=stiffness * default.stiffness, damping=damping)
     return World(medium=Medium(), ground=ground, lying=True)
+
+
+def swallowing(stiffness: float, density: float) -> World:
+    """Have a ball inside, with factors on the default's stiffness and density and its ratio of damping to critical."""
+    default = Bolus()
+    damping = math.sqrt(stiffness * density) * default.damping
+    ball = replace(default, stiffness=stiffness * default.stiffness, density=density * default.density, damping=damping)
+    return World(bolus=replace(ball, radius=BALL_RADIUS, level=BALL_LEVEL))
+
+
+def touching(stiffness: float, tension: float) -> World:
+    """Let rods touch, with a factor on the default's stiffness and its ratio of damping to critical."""
+    default = Contact()
+    return World(
+        contact=Contact(stiffness=stiffness * default.stiffness, damping=math.sqrt(stiffness) * default.damping)
+    )
+
+
+WORLDS: dict[str, Callable[[float, float], World]] = {"ground": lying, "ball": swallowing, "contact": touching}
+"""What surrounds the worms of a group, given the factors on its two axes."""
+BOUNDS = ("ball", "contact")
+"""Groups whose prediction is for all that may touch, not for what does: it may well be far too small."""
 
 
 def _scaled(factors: dict[str, float], **changes: Any) -> dict[str, Any]:
@@ -276,7 +307,7 @@ def measure(case: Case) -> Limit:
     begin = time.perf_counter()
     trial = Trial(LatticeDesign(**case.design), World.from_dict(case.world))
     limit = _bisect(case, trial, 1)
-    if limit.ratio < LEAST_RATIO:
+    if limit.ratio < LEAST_RATIO and case.group not in BOUNDS:
         limit = _bisect(case, trial, LONGER)
     return replace(limit, seconds=time.perf_counter() - begin)
 
@@ -394,8 +425,9 @@ def _judge(limits: list[Limit], criterion: str) -> dict[str, Any]:
     decided = [limit for limit in whole if criterion == "stable" or not limit.forks]
     counted = [limit for limit in decided if getattr(limit, criterion)]
     ratios = np.array([limit.usable / getattr(limit, criterion) for limit in counted])
+    near = ratios[[limit.case.group not in BOUNDS for limit in counted]]
     designs = {LatticeDesign(**limit.case.design): limit.case.group for limit in counted}
-    low, median, high = float(ratios.min()), float(np.median(ratios)), float(ratios.max())
+    low, median, high = float(near.min()), float(np.median(near)), float(ratios.max())
     return {
         "n_counted": len(counted),
         "n_design": len(designs),
@@ -406,7 +438,7 @@ def _judge(limits: list[Limit], criterion: str) -> dict[str, Any]:
         "median": median,
         "max": high,
         "n_above_1": int(np.sum(ratios > 1.0)),
-        "n_below_0.4": int(np.sum(ratios < LEAST_RATIO)),
+        "n_below_0.4": int(np.sum(near < LEAST_RATIO)),
         "holds": high <= 1.0 and low >= LEAST_RATIO and median >= MEDIAN_RATIO,
     }
 
@@ -437,7 +469,8 @@ def _tables(limits: list[Limit], summary: dict[str, Any]) -> list[str]:
     criteria = ["a step holds if", "counted", "distinct designs", "of them random", "no step holds", "forks"]
     criteria += ["min", "median", "max", "above 1", "below 0.4"]
     text = (
-        "Distinct designs: the grids share some. "
+        "Distinct designs: the grids share some. The groups "
+        f"{' and '.join(BOUNDS)} count for what is above 1 only: their prediction is for all that may touch. "
         f"Apart under both: {summary['n_no_limit']} cases that hold at one step a command, the longest there is. No "
         f"step holds: none down to 1/{FINEST} of the prediction over the same time. Forks: a change of "
         f"{FORK_TENSION:.1%} in the tensions moves the run at dt/{REFINEMENT} by more than {TOLERANCE:.0%}, or decides "
@@ -477,14 +510,14 @@ def _figure(limits: list[Limit]) -> Figure:
     """Heat maps of ratio and limit for each pair of parameters, and predicted over measured for every case."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(18, 11.5), layout="constrained")
-    grid = figure.add_gridspec(3, 5, height_ratios=[1.0, 1.0, 1.35])
+    figure = Figure(figsize=(3.6 * len(GRID), 11.5), layout="constrained")
+    grid = figure.add_gridspec(3, len(GRID), height_ratios=[1.0, 1.0, 1.35])
     for column, group in enumerate(GRID):
         members = [limit for limit in limits if limit.case.group == group]
         for row, kind in enumerate(("ratio", "limit")):
             _heat_map(figure, figure.add_subplot(grid[row, column]), members, kind)
-    _scatter(figure.add_subplot(grid[2, :2]), limits)
-    _histogram(figure.add_subplot(grid[2, 2:]), limits)
+    _scatter(figure.add_subplot(grid[2, : len(GRID) // 2]), limits)
+    _histogram(figure.add_subplot(grid[2, len(GRID) // 2 :]), limits)
     return figure
 
 
