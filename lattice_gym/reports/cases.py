@@ -28,6 +28,7 @@ from lattice_gym.model import (
     straight_rod,
 )
 from lattice_gym.muscles import named_layout
+from lattice_gym.reports.ball import BALL_CASES
 from lattice_gym.reports.buckling import localised_buckle, michell_ring
 from lattice_gym.reports.ground import GROUND_CASES
 from lattice_gym.reports.scene import SETTLING, Case, Reading, Scene, pass_time, with_velocity
@@ -582,5 +583,6 @@ CASES = (
         "in the middles' distance",
     ),
     *GROUND_CASES,
+    *BALL_CASES,
 )
-"""Every case, those with a ground last."""
+"""Every case, those with a ground or a ball last."""

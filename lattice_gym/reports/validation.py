@@ -43,8 +43,7 @@ extent, and directors.
   The splitting "symmetric" of the fused engine centres them about the kick: order 2. The spinning rod is free; it
   tumbles at 2 rad/s, twists at 30 rad/s and rings from a stretch of 25 %, and is read in the midst of the first swing:
   over whole periods errors that go with the rate of stretch cancel. It is run undamped, and damped with a torque on
-  every element. The dashpots of joints are of order 1 in both splittings; no scene here has any.
-- **The ball's** exact cases (rest, sliding, bounce, momentum) are tests only, in `tests/test_bolus.py`."""
+  every element. The dashpots of joints are of order 1 in both splittings; no scene here has any."""
 
 
 @dataclass(frozen=True)
