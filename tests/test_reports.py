@@ -89,6 +89,7 @@ def test_bad_options(words: list[str], capsys: pytest.CaptureFixture[str]) -> No
         (["paper", "--tension", "0.1", "2"], "paper.report", "paper --tension 0.1 2.0"),
         (["paper", "--engine", "pyelastica"], "paper.report", "paper --engine pyelastica"),
         (["engines"], "engines.report", "engines"),
+        (["throughput", "--quick"], "throughput.report", "throughput --quick"),
     ],
 )
 def test_the_command_makes_the_result_again(

@@ -1,4 +1,4 @@
-"""Command line: `python -m lattice_gym.reports {paper,engines,validation} [options]`."""
+"""Command line: `python -m lattice_gym.reports NAME [options]`."""
 
 from __future__ import annotations
 
@@ -58,6 +58,8 @@ def parser() -> argparse.ArgumentParser:
     validation.add_argument("--no-pictures", action="store_true", help="leave out the picture")
     divergence = names.add_parser("divergence", help="is every run that goes wrong caught, and no other")
     divergence.add_argument("--quick", action="store_true", help="a tenth of the runs: half a minute")
+    throughput = names.add_parser("throughput", help="cost of a step as worms, features and elements grow")
+    throughput.add_argument("--quick", action="store_true", help="smaller batches, fewer repeats: a minute")
     return top
 
 
@@ -99,6 +101,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from lattice_gym.reports.divergence import report as report_divergence
 
         good = report_divergence(options.out, quick=options.quick, command=command)
+    elif options.name == "throughput":
+        from lattice_gym.reports.throughput import report as report_throughput
+
+        good = report_throughput(options.out, quick=options.quick, command=command)
     else:
         from lattice_gym.reports.engines import report as report_engines
 

@@ -28,6 +28,12 @@ STEP_LIMIT, EPISODE_LIMIT, SPEED_LIMIT = 1e-12, 1e-9, 100.0
 """Agreement after one step (position and velocity over their largest) and after an episode (position [m]); ratio."""
 
 
+def benchmark_model() -> RodModel:
+    """Model of the benchmark scene."""
+    lattice = build_lattice(LatticeDesign())
+    return build_model(lattice, named_layout("extension", lattice))
+
+
 def agreement(model: RodModel, n_control: int) -> list[dict[str, Any]]:
     """Largest difference of every field of the state after one step and after `n_control` random control periods."""
     dt = default_dt(model, CONTROL_DT)
@@ -83,7 +89,7 @@ def report(folder: Path, *, command: str, repeats: int = 7, n_control: int = rou
     """Write engines.md and engines.json; returns whether the engines agree and the ratio of the medians is reached."""
     lattice = build_lattice(LatticeDesign())
     differences = agreement(build_model(lattice, named_layout("all", lattice)), n_control)
-    times = speed(build_model(lattice, named_layout("extension", lattice)), repeats)
+    times = speed(benchmark_model(), repeats)
     medians = {name: float(np.median(times[name])) for name in ENGINES}
     ratio = medians["pyelastica"] / medians["fused"]
     pairs = np.array(times["pyelastica"]) / np.array(times["fused"])

@@ -126,7 +126,8 @@ class Study:
 class Progress:
     """A line on stderr at most every ten seconds."""
 
-    def __init__(self) -> None:
+    def __init__(self, report: str = "work-precision") -> None:
+        self._report = report
         self._start = self._last = time.monotonic()
 
     def __call__(self, text: str) -> None:
@@ -134,7 +135,7 @@ class Progress:
         now = time.monotonic()
         if now - self._last > 10.0:
             self._last = now
-            sys.stderr.write(f"work-precision, {now - self._start:.0f} s: {text}\n")
+            sys.stderr.write(f"{self._report}, {now - self._start:.0f} s: {text}\n")
 
 
 def _settled(elements_per_segment: int, muscle_model: str, n_substeps: int) -> Setting:
