@@ -263,9 +263,7 @@ def test_thread_counts(cores: int, counts: list[int]) -> None:
 
 def test_an_environment_that_hides_its_physics_is_refused() -> None:
     """Its share would come out as nothing."""
-    engine = SimpleNamespace(advance=lambda: None)
     silent: Any = SimpleNamespace(
-        unwrapped=SimpleNamespace(engine=engine),
         action_space=SimpleNamespace(sample=lambda: 0.0),
         reset=lambda seed: None,
         step=lambda action: None,

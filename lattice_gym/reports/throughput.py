@@ -266,6 +266,7 @@ def _json(alone: Single, worms: Batches) -> dict[str, Any]:
         ],
         "pyelastica_beside_batches": worms.plain,
         "overhead": {str(threads): shares for threads, shares in worms.overhead.items()},
+        "seconds_per_reset": worms.reset,
         "bytes_per_worm": worms.bytes_per_worm,
     }
 
@@ -302,13 +303,13 @@ def report(folder: Path, *, quick: bool, command: str) -> bool:
         f'Batches, {N_SUBSTEPS} steps a call; control steps are those of `gymnasium.make_vec("{ENV_ID}")`, of as many '
         f"physics steps each; plain PyElastica, in the same rounds, takes {spread(worms.plain, US)} us per step:",
         _batch_table(worms),
-        f"A further worm in a batch takes {worms.bytes_per_worm / 1024:.0f} KiB. Of whole episodes of {ENV_WORMS} "
-        f"environments ({EPISODE_STEPS} control steps, with their reset), all but the engine's `advance` takes "
+        f"A further worm in a batch takes {worms.bytes_per_worm / 1024:.0f} KiB. Of the {EPISODE_STEPS} control steps "
+        f"of an episode of {ENV_WORMS} environments, all but `BatchEngine.advance` takes "
         + ", ".join(
             f"{spread(share, 100.0)} % on {threads} thread{'s' if threads > 1 else ''}"
             for threads, share in worms.overhead.items()
         )
-        + ".",
+        + f"; their reset takes {spread(worms.reset, 1e3)} ms.",
         f"Scenes, one worm in control steps of {CONTROL_DT:g} s:",
         _scene_table(scenes),
         *_growth_parts(grown, plan, cache),

@@ -14,9 +14,10 @@ from unittest.mock import patch
 
 import gymnasium
 import numpy as np
+import numpy.typing as npt
 from gymnasium.vector import VectorEnv
 
-from lattice_gym.design import FloatArray
+from lattice_gym.design import FloatArray, IntArray
 from lattice_gym.engines import Engine, EngineName, make_engine
 from lattice_gym.engines.batch import BatchEngine
 from lattice_gym.reports.engines import BENCHMARK_DT, ENGINES, benchmark_model
@@ -103,14 +104,17 @@ class Batches:
     plain: list[float]
     """Seconds per step of plain PyElastica, in the same rounds."""
     overhead: dict[int, list[float]]
-    """Share of whole episodes of `ENV_WORMS` environments that the physics is not, by threads."""
+    """Share of the steps of `ENV_WORMS` environments that the physics is not, by threads."""
+    reset: list[float]
+    """Seconds to reset that many."""
     bytes_per_worm: float
     """Memory that a further worm takes in a batch."""
 
 
 def thread_counts(cores: int | None = None) -> list[int]:
-    """Powers of two up to the number of cores, and that number."""
-    cores = cores or os.cpu_count() or 1
+    """Powers of two up to the number of cores (default: those for this process), and that number."""
+    if cores is None:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return sorted({2**k for k in range(cores.bit_length()) if 2**k <= cores} | {cores})
 
 
@@ -199,27 +203,26 @@ def _time_env(env: VectorEnv, n_worm: int) -> float:
 
 
 def _time_overhead(env: VectorEnv) -> float:
-    """Share of an episode, its reset included, that is not spent within the engine's `advance`."""
-    engine = env.unwrapped.engine  # type: ignore[attr-defined]
-    advance, physics = engine.advance, 0.0
+    """Share of the steps of an episode that is not spent within `BatchEngine.advance`."""
+    advance, physics = BatchEngine.advance, 0.0
     action = env.action_space.sample()
 
-    def timed(*arguments: object, **options: object) -> object:
+    def timed(engine: BatchEngine, tension: npt.ArrayLike, n_substeps: int) -> IntArray:
         nonlocal physics
         start = time.perf_counter()
-        status = advance(*arguments, **options)
+        status = advance(engine, tension, n_substeps)
         physics += time.perf_counter() - start
         return status
 
     def episode() -> None:
-        env.reset(seed=0)
         for _ in range(EPISODE_STEPS):
             env.step(action)
 
-    with patch.object(engine, "advance", timed):
+    env.reset(seed=0)
+    with patch.object(BatchEngine, "advance", timed):
         total = seconds(episode, time.perf_counter)
     if physics == 0.0:
-        raise RuntimeError("the environment does not step by its engine's advance")
+        raise RuntimeError("the environment does not step by BatchEngine.advance")
     return 1.0 - physics / total
 
 
@@ -248,6 +251,8 @@ def batches(plan: Plan, progress: Progress) -> Batches:
     tasks["plain", (1, 1)] = partial(time_plain, plan.steps["plain"], time.perf_counter)
     for threads in thread_counts():
         tasks["overhead", (ENV_WORMS, threads)] = partial(_time_overhead, envs[ENV_WORMS, threads])
+    several = envs[ENV_WORMS, thread_counts()[0]]
+    tasks["reset", (ENV_WORMS, 1)] = lambda: seconds(lambda: several.reset(seed=0), time.perf_counter)
     progress(f"batches of up to {plan.sizes[-1]} worms")
     times = interleaved(tasks, plan.repeats)
     for key in keys:
@@ -258,5 +263,6 @@ def batches(plan: Plan, progress: Progress) -> Batches:
         control={key: times["control", key] for key in keys},
         plain=times["plain", (1, 1)],
         overhead={threads: times["overhead", (ENV_WORMS, threads)] for threads in thread_counts()},
+        reset=times["reset", (ENV_WORMS, 1)],
         bytes_per_worm=bytes_per_worm(),
     )
