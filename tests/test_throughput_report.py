@@ -130,11 +130,12 @@ def test_a_line_is_found() -> None:
 
 
 def test_growth_within_a_cache() -> None:
-    """Points whose records fit; too few of them make no line; slopes run from point to point."""
-    growth = Growth([1, 2, 4, 8], [[1.0], [3.0, 2.0, 1.0], [4.0], [9.0]], [10, 20, 40, 80])
+    """Points whose records fit with room to spare; too few of them make no line; slopes run from point to point."""
+    growth = Growth([1, 2, 4, 8], [[1.0], [3.0, 2.0, 1.0], [4.0], [9.0]], [9, 18, 36, 72])
     assert growth.medians == [1.0, 2.0, 4.0, 9.0]
     assert growth.slopes == [1.0, 1.0, 1.25]
-    assert growth.within(40) == Growth([1, 2, 4], [[1.0], [3.0, 2.0, 1.0], [4.0]], [10, 20, 40])
+    assert growth.within(40) == Growth([1, 2, 4], [[1.0], [3.0, 2.0, 1.0], [4.0]], [9, 18, 36])
+    assert growth.within(39) == growth.within(20) == Growth([1, 2], [[1.0], [3.0, 2.0, 1.0]], [9, 18])
     assert growth.within(None) == growth
     assert growth.within(20).line() is None
     line = growth.within(40).line()

@@ -23,6 +23,9 @@ N_STEPS = 300
 LEVELS_PER_PAIR = 4
 """Pairs of rods for a period of the default height: then every lattice has the segments of the default one."""
 
+CACHE_SHARE = 0.9
+"""Of a cache, for records: it holds joints and code as well."""
+
 
 @dataclass(frozen=True)
 class Line:
@@ -60,7 +63,7 @@ class Growth:
 
     def within(self, cache: int | None) -> Growth:
         """Those points whose records a cache of that size holds; all where it is not known."""
-        kept = [k for k, size in enumerate(self.memory) if cache is None or size <= cache]
+        kept = [k for k, size in enumerate(self.memory) if cache is None or size <= CACHE_SHARE * cache]
         return Growth(*([column[k] for k in kept] for column in (self.count, self.times, self.memory)))  # type: ignore[arg-type]
 
     def line(self) -> Line | None:
