@@ -241,11 +241,11 @@ class Worms(NamedTuple):
     found: npt.NDArray[np.int64]
 
 
-_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"nsz", "arcp", "afn"}}
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"nsz"}}
 
 
 def compiled(function: Function) -> Function:
-    """Compile with no licence to assume that NaN never occurs, for divergence must show, nor to reorder or fuse.
+    """Compile with no licence but to forget the sign of a zero: NaN must show, and nothing be reordered or fused.
 
     What the compiler unrolls it would order and fuse differently from one half of the lanes to the other, and how a rod
     moves would depend on its lane: products that are to be fused say so, see `fma`.
