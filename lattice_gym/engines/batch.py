@@ -140,13 +140,18 @@ class BatchEngine:
         count = step_count(n_substeps)
         codes = np.zeros(self.n_worm, np.int64)
 
-        def advance(part: Pack | _Alone) -> None:
-            codes[part.rows] = part.advance(start[part.rows], end[part.rows], count)
+        parts = iter(self._parts)
+
+        def work() -> None:
+            for part in parts:
+                codes[part.rows] = part.advance(start[part.rows], end[part.rows], count)
 
         n_thread = min(self._n_thread, len(self._parts)) if self._options[0] == "fused" else 1
-        # Consuming the results raises here what was raised in a thread.
-        for _ in map(advance, self._parts) if n_thread == 1 else self._threads().map(advance, self._parts):
-            pass
+        # This thread works as well: to wake another takes as long as some steps.
+        others = [self._threads().submit(work) for _ in range(n_thread - 1)]
+        work()
+        for other in others:
+            other.result()
         self._health = [Health()] * self.n_worm
         for worm in np.flatnonzero(codes).tolist():
             part, seat = self._seat[worm]
@@ -156,7 +161,7 @@ class BatchEngine:
     def _threads(self) -> ThreadPoolExecutor:
         """Threads of this process: those of a parent do not live on in a fork of it."""
         if self._pool is None or self._pool[0] != os.getpid():
-            self._pool = os.getpid(), ThreadPoolExecutor(self._n_thread, "worms")
+            self._pool = os.getpid(), ThreadPoolExecutor(self._n_thread - 1, "worms")
         return self._pool[1]
 
     def health(self, worm: int) -> Health:
