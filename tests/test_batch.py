@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
+import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -13,6 +16,7 @@ import pytest
 from lattice_gym.design import FloatArray, LatticeDesign
 from lattice_gym.engines import Engine, Splitting, Status, make_engine
 from lattice_gym.engines.batch import BatchEngine
+from lattice_gym.engines.fused import Pack
 from lattice_gym.hill import Hill
 from lattice_gym.lattice import build_lattice
 from lattice_gym.model import PointTorque, RodModel, RodState, build_model
@@ -221,6 +225,44 @@ def test_a_fork_has_threads_of_its_own() -> None:
     child.start()
     child.join(60.0)
     assert child.exitcode == 0
+    batch.close()
+
+
+@pytest.mark.parametrize("waiting", [False, True])
+def test_an_interrupted_call_leaves_no_thread_at_work(waiting: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Be it at work or waiting for others: what they have begun ends first, and nothing more begins."""
+    models = [worm(), worm(), worm(hill=Hill()), worm(hill=Hill())]
+    batch, twin = (BatchEngine(models, DT, num_threads=threads) for threads in (2, 1))
+    advance, main, begun = Pack.advance, threading.main_thread(), threading.Event()
+    theirs, ended, ours = list[Pack](), list[Pack](), list[Pack]()
+
+    def interrupted(pack: Pack, *arguments: Any) -> Any:
+        if threading.current_thread() is main:
+            ours.append(pack)
+            assert begun.wait(60.0)
+            if not waiting:
+                raise KeyboardInterrupt
+            return advance(pack, *arguments)
+        theirs.append(pack)
+        begun.set()
+        time.sleep(0.1)
+        if waiting:
+            signal.pthread_kill(main.ident or 0, signal.SIGINT)
+        time.sleep(0.1)
+        codes = advance(pack, *arguments)
+        ended.append(pack)
+        return codes
+
+    pull = pulls(models[0], 4)
+    with monkeypatch.context() as patched:
+        patched.setattr(Pack, "advance", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            batch.advance(pull, 5)
+        assert (len(theirs), len(ended), len(ours)) == (1, 1, 3 if waiting else 1)
+    for k, model in enumerate(models):
+        batch.restore(k, model.rest_state())
+    assert batch.advance(pull, 5).tolist() == twin.advance(pull, 5).tolist()
+    np.testing.assert_array_equal(batch.position, twin.position)
     batch.close()
 
 

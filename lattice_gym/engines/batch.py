@@ -6,7 +6,7 @@ import math
 import os
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
 import numpy.typing as npt
@@ -138,9 +138,7 @@ class BatchEngine:
         """
         start, end = tension_ramp(tension, (self.n_worm, self.models[0].n_muscle))
         count = step_count(n_substeps)
-        codes = np.zeros(self.n_worm, np.int64)
-
-        parts = iter(self._parts)
+        codes, parts = np.zeros(self.n_worm, np.int64), iter(self._parts)
 
         def work() -> None:
             for part in parts:
@@ -149,9 +147,15 @@ class BatchEngine:
         n_thread = min(self._n_thread, len(self._parts)) if self._options[0] == "fused" else 1
         # This thread works as well: to wake another takes as long as some steps.
         others = [self._threads().submit(work) for _ in range(n_thread - 1)]
-        work()
-        for other in others:
-            other.result()
+        try:
+            work()
+            for other in others:
+                other.result()
+        except BaseException:  # An interrupt too: begin no further part, and leave no thread at work on what is shown.
+            for _ in parts:
+                pass
+            wait(others)
+            raise
         self._health = [Health()] * self.n_worm
         for worm in np.flatnonzero(codes).tolist():
             part, seat = self._seat[worm]
