@@ -147,7 +147,7 @@ class Task(ABC):
         return build_model(self.lattice, layout, self.surroundings(self.lattice))
 
     def check(self, options: Mapping[str, object] | None) -> None:
-        """Raise the ValueError of `begin` for options that it would refuse whatever is drawn."""
+        """Raise the ValueError of `begin` for options that it would refuse."""
         self._checked("options", options)
 
     def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None, worm: int = 0) -> None:
@@ -454,9 +454,6 @@ class Peristalsis(Task):
         super().__init__(lattice, control_dt, command, model, n_worm)
         self.memory["record"] = np.zeros((n_worm, 1, len(self.height)))
         self._window = np.ones(n_worm, dtype=np.int64)
-        drawn = {name: (bounds.low, bounds.high) for name, bounds in self.commands.items()} | self.among
-        for speed, wavelength in product(drawn["speed"], drawn["wavelength"]):
-            self._check_wave("command", {"speed": speed, "wavelength": wavelength})
 
     def _prepare(self) -> None:
         lattice = self.lattice
@@ -550,20 +547,23 @@ class Peristalsis(Task):
         phase: FloatArray = rate * time + self.commanded["phase"]
         return phase
 
-    def _drawn(self, rng: np.random.Generator, options: Mapping[str, object] | None) -> dict[str, float]:
-        command = super()._drawn(rng, options)
-        self._check_wave("options", command)
-        return command
+    def _checked(self, argument: str, values: Mapping[str, object] | None) -> dict[str, tuple[float, ...]]:
+        """Refuse what any draw would make a wave that cannot be sampled."""
+        checked = super()._checked(argument, values)
+        drawn = {name: (bounds.low, bounds.high) for name, bounds in self.commands.items()} | self.among | checked
+        for speed, wavelength in product(drawn["speed"], drawn["wavelength"]):
+            self._check_wave(argument, speed, wavelength)
+        return checked
 
-    def _check_wave(self, argument: str, command: Mapping[str, float]) -> None:
+    def _check_wave(self, argument: str, speed: float, wavelength: float) -> None:
         """Refuse a wave that stands, or that is too fast to be sampled by control steps."""
-        speed, slowest = abs(command["speed"]), self.SLOWEST * self.lattice.design.height
-        if speed < slowest * (1.0 - BOUND_SLACK):
-            raise ValueError(f"{argument}['speed'] = {command['speed']:g}: at least {slowest:g} [m/s], up or down")
-        period, shortest = command["wavelength"] / speed, self.LEAST_STEPS * self.control_dt
+        slowest, shortest = self.SLOWEST * self.lattice.design.height, self.LEAST_STEPS * self.control_dt
+        if abs(speed) < slowest * (1.0 - BOUND_SLACK):
+            raise ValueError(f"{argument}['speed'] = {speed:g}: at least {slowest:g} [m/s], up or down")
+        period = wavelength / abs(speed)
         if period < shortest * (1.0 - BOUND_SLACK):
             raise ValueError(
-                f"{argument}: a wave of speed {speed:g} m/s and wavelength {command['wavelength']:g} m has a period of "
+                f"{argument}: a wave of speed {abs(speed):g} m/s and wavelength {wavelength:g} m has a period of "
                 f"{period:g} s; it must last {self.LEAST_STEPS} control steps, {shortest:g} s (control_dt = "
                 f"{self.control_dt:g} s)"
             )
