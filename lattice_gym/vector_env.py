@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NoReturn, SupportsIndex
 
 import gymnasium
 import numpy as np
@@ -189,6 +189,10 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         self._engine.close()
         self._one.close()
 
+    def __reduce_ex__(self, _: SupportsIndex) -> NoReturn:
+        """Refuse to be pickled or copied: the parts of the physics share arrays, which a copy would not."""
+        raise TypeError(f"{type(self).__name__}: can be neither pickled nor copied")
+
     @property
     def _motion(self) -> Motion:
         engine = self._engine
@@ -245,7 +249,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
 
     def _seeds(self, seed: object) -> list[int | None]:
         """Seed of every worm."""
-        if isinstance(seed, list | tuple | np.ndarray):
+        if isinstance(seed, list | tuple) or (isinstance(seed, np.ndarray) and seed.ndim > 0):
             if len(seed) != self.num_envs:
                 raise ValueError(f"seed: must be one number, or {self.num_envs}, one a worm, got {len(seed)}")
             return [None if one is None else seed_of(one) for one in seed]
@@ -274,7 +278,8 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
                     f"options[{name!r}]: an array must hold one number a worm, shape ({self.num_envs},), got "
                     f"{given[name].shape}"
                 )
-        return mask, [given | {name: given[name][worm].item() for name in each} for worm in range(self.num_envs)]
+        own = {name: given[name].tolist() for name in each}
+        return mask, [given | {name: own[name][worm] for name in each} for worm in range(self.num_envs)]
 
 
 class LatticeWormGoalVectorEnv(LatticeWormVectorEnv):

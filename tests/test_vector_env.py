@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import re
 from collections.abc import Callable
 from typing import Any
@@ -302,6 +304,9 @@ _N_ACTION = int(np.prod(_HOSTILE.single_action_space.shape or ()))
         (lambda: _HOSTILE.reset(options={"reset_mask": np.zeros(2, dtype=bool)}), r"^options\['reset_mask'\]"),
         (lambda: _HOSTILE.reset(options={"radius": np.zeros(3)}), r"^options\['radius'\]: an array"),
         (lambda: _HOSTILE.reset(options={"radius": np.array([0.1, 9.0])}), r"^options\['radius'\] = 9.0"),
+        (lambda: _HOSTILE.reset(seed=np.array(-1)), r"^seed = array\(-1\)"),
+        (lambda: _HOSTILE.reset(seed=np.zeros((2, 2))), r"^seed = array"),
+        (lambda: _HOSTILE.reset(options={"radius": np.array([0.1, None])}), r"^options\['radius'\] = None"),
         (lambda: _HOSTILE.reset(options={"speed": 1.0}), r"^options: reach commands no 'speed'"),
         (lambda: _HOSTILE.step(np.zeros(_N_ACTION)), r"^action: shape"),
         (lambda: _HOSTILE.step(np.full((2, _N_ACTION), np.nan)), r"^action: must not be NaN"),
@@ -366,3 +371,19 @@ def test_a_single_worm_is_the_single_environment() -> None:
     one, other = native.step(action), single.step(action[0])
     np.testing.assert_array_equal(one[0][0], other[0])
     assert one[1][0] == other[1]
+
+
+@pytest.mark.parametrize("copied", [pickle.dumps, copy.copy, copy.deepcopy])
+def test_copies_are_refused(copied: Callable[[object], object]) -> None:
+    """Their physics would be that of the original, or none."""
+    with pytest.raises(TypeError, match=r"^LatticeWormVectorEnv: can be neither pickled nor copied"):
+        copied(_HOSTILE)
+
+
+def test_a_wave_too_fast_for_some_draws_is_refused_before_any_reset() -> None:
+    """Whatever the wavelength drawn would have been: no worm begins, and no seed is taken."""
+    native = LatticeWormVectorEnv(3, design=SMALL, control_dt=0.05)
+    native.reset(seed=0)
+    with pytest.raises(ValueError, match=r"^options: a wave of speed 0.4"):
+        native.reset(seed=8, options={"speed": np.array([0.1, 0.1, 0.4]), "wavelength": [0.076, 0.1]})
+    assert native.np_random_seed == (0, 1, 2)
