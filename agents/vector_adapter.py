@@ -1,4 +1,4 @@
-"""Worms of one Gymnasium vector environment, as Stable-Baselines3 takes them."""
+"""Worms of a vector environment, as Stable-Baselines3 takes them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.utils import rescale_box
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from agents.outcomes import outcome_errors
+from lattice_gym import LatticeWormVectorEnv
 
 
 class WormVecEnv(VecEnv):
@@ -26,34 +27,31 @@ class WormVecEnv(VecEnv):
     the info of a worm in mid-episode is empty. Only where goals are observed does it hold `reward_terms`, by which
     `compute_reward` pays: hindsight replay needs `copy_info_dict=True`, as for a single worm.
 
-    Attributes and methods are those of the vector environment, which all worms share, or, of gymnasium's
-    SyncVectorEnv, those of each bare environment in it, below any wrapper.
+    Attributes and methods are those of the bare vector environment, which all worms share.
 
     Parameters
     ----------
     envs
-        What `gymnasium.make_vec` gives for an id of lattice worms, with `AutoresetMode.SAME_STEP`.
+        What `gymnasium.make_vec` gives for an id of lattice worms, with `AutoresetMode.SAME_STEP`, or a wrapper of it.
 
     Raises
     ------
     ValueError
         Something else than that; actions of another shape than (n, n_action); options that are neither a dict
-        for all worms nor a list of n dicts; an attribute to set for some worms where all share it.
+        for all worms nor a list of n dicts; an attribute to set for some worms, as all share it.
     """
 
     def __init__(self, envs: VectorEnv[Any, Any, Any]) -> None:
-        if not isinstance(envs, VectorEnv):
-            raise ValueError(f"envs = {envs!r}: must be a gymnasium.vector.VectorEnv")
+        bare = envs.unwrapped if isinstance(envs, VectorEnv) else None
+        if not isinstance(bare, LatticeWormVectorEnv) or bare.spec is None:
+            raise ValueError(f"envs = {envs!r}: must be a LatticeWormVectorEnv that gymnasium.make_vec made")
         if (mode := envs.metadata.get("autoreset_mode")) is not AutoresetMode.SAME_STEP:
             raise ValueError(f"envs: autoreset_mode must be AutoresetMode.SAME_STEP, got {mode}")
-        if (made := envs.unwrapped.spec) is None or "task" not in made.kwargs:
-            raise ValueError(f"envs = {envs!r}: must be lattice worms that gymnasium.make_vec made")
         self.envs: Any = envs
-        self._apart = isinstance(envs.unwrapped, SyncVectorEnv)
         assert isinstance(envs.single_action_space, spaces.Box)
         actions, _, self._commands = rescale_box(envs.single_action_space, np.float32(-1.0), np.float32(1.0))
         super().__init__(envs.num_envs, envs.single_observation_space, actions)
-        self._task: str = made.kwargs["task"]
+        self._task: str = bare.spec.kwargs["task"]
         self._has_goals = isinstance(envs.single_observation_space, spaces.Dict)
         self._returns = np.zeros(self.num_envs)
         self._lengths = np.zeros(self.num_envs, dtype=np.int64)
@@ -61,20 +59,22 @@ class WormVecEnv(VecEnv):
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
         """Give the next reset options: the same for all worms, or one dict for each."""
-        if isinstance(options, list) and len(options) != self.num_envs:
+        each = options if isinstance(options, list) else [options or {}] * self.num_envs
+        if len(each) != self.num_envs or not all(isinstance(one, dict) for one in each):
             raise ValueError(f"options: must be one dict, or a list of one for each of {self.num_envs} worms")
         super().set_options(options)
 
     def reset(self) -> VecEnvObs:
         """Start an episode of every worm, with the seeds and options given for it since the last one."""
-        seeds, options = self._seeds, self._options
-        observations, infos = self.envs.reset(seed=seeds, options=dict(options[0]) or None)
-        self.reset_infos = [_of_worm(infos, worm) for worm in range(self.num_envs)]
-        for worm in range(1, self.num_envs):
-            if options[worm] != options[0]:  # a vector environment takes one dict at a time
-                only = {"reset_mask": np.arange(self.num_envs) == worm}
-                observations, infos = self.envs.reset(seed=seeds, options=options[worm] | only)
-                self.reset_infos[worm] = _of_worm(infos, worm)
+        seeds, options, worms = self._seeds, self._options, range(self.num_envs)
+        alike, began = all(one == options[0] for one in options), bool(self.reset_infos[0])
+        if alike or not began:  # the first reset takes all worms
+            observations, infos = self.envs.reset(seed=seeds, options=options[0] if alike else None)
+            self.reset_infos = [_of_worm(infos, worm) for worm in worms]
+        for worm in () if alike else worms:  # a vector environment takes one dict at a time
+            only = {"reset_mask": np.arange(self.num_envs) == worm}
+            observations, infos = self.envs.reset(seed=seeds, options=options[worm] | only)
+            self.reset_infos[worm] = _of_worm(infos, worm)
         self._returns[:], self._lengths[:] = 0.0, 0
         self._reset_seeds()
         self._reset_options()
@@ -123,33 +123,26 @@ class WormVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Attribute of each worm."""
-        return [getattr(holder, attr_name) for holder in self._holders(indices)]
+        return [getattr(self.envs.unwrapped, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Give an attribute of each worm this value."""
-        holders = self._holders(indices)
-        if len(holders) < self.num_envs and not self._apart:
+        """Give an attribute of all worms this value."""
+        if len(set(self._get_indices(indices))) < self.num_envs:
             raise ValueError(f"indices = {indices!r}: must be None, as all worms share {attr_name}")
-        for holder in holders:
-            setattr(holder, attr_name, value)
+        setattr(self.envs.unwrapped, attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
         """Return what a method of each worm returns."""
-        return [getattr(holder, method_name)(*method_args, **method_kwargs) for holder in self._holders(indices)]
+        method = getattr(self.envs.unwrapped, method_name)
+        return [method(*method_args, **method_kwargs) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
         """Whether each worm is in such a wrapper: only in a Monitor, as whose its episodes are summed up."""
         return [issubclass(Monitor, wrapper_class) for _ in self._get_indices(indices)]
-
-    def _holders(self, indices: VecEnvIndices) -> list[Any]:
-        """Find what holds the attributes of each worm."""
-        bare = self.envs.unwrapped
-        holders = bare.get_attr("unwrapped") if self._apart else [bare] * self.num_envs
-        return [holders[index] for index in self._get_indices(indices)]
 
 
 def _of_worm(infos: Mapping[str, Any], worm: int) -> dict[str, Any]:

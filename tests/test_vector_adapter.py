@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
@@ -18,6 +18,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from agents.config import InputError
 from agents.environments import make_env, make_vector_env
 from agents.vector_adapter import WormVecEnv
+from lattice_gym import LatticeWormVectorEnv
 
 IDS = sorted(name for name in gymnasium.registry if name.startswith("LatticeWorm"))
 GOAL = "LatticeWormReachGoal-v0"
@@ -49,6 +50,12 @@ def _copied(values: Any) -> Any:
         _arguments("LatticeWormBending-v0", command=COMMANDS, max_episode_steps=5),
         _arguments("LatticeWormExtension-v0", control="ring", design={"max_tension": 50.0}),  # these blow up
         _arguments("LatticeWormExtension-v0", control="ring", adaptation={}, max_episode_steps=4),
+        _arguments(
+            "LatticeWormReach-v0",
+            max_episode_steps=4,
+            randomise={"damping": (0.5, 2.0), "strength": (0.8, 1.2)},
+            adaptation={"fatigue_rate": 0.5, "strain_gain": 0.5, "mode": "episode", "carry": True},
+        ),
         _arguments(GOAL, max_episode_steps=5),
         _arguments(GOAL, design={"max_tension": 50.0}),
     ],
@@ -117,6 +124,11 @@ def test_seeds_and_options_are_for_one_reset() -> None:
             venv.set_options(options)
         _assert_same(together.reset(), apart.reset())
         _assert_same(together.unwrapped.reset_infos, apart.reset_infos)
+    for options in ([{"azimuth": 0.1}, {}, {"azimuth": 0.3}], [{}, {}, {"azimuth": 0.3}], None):
+        for venv in (together, apart):
+            venv.set_options(options)  # without seeds: each worm goes on drawing
+        _assert_same(together.reset(), apart.reset())
+        _assert_same(together.unwrapped.reset_infos, apart.reset_infos)
     together.seed(11)
     starts: list[Any] = [together.reset() for _ in range(5)]
     assert any((starts[0] != start).any() for start in starts)
@@ -138,30 +150,14 @@ def test_methods_of_worms() -> None:
     venv.close()
 
 
-def test_attributes_are_of_single_worms_or_shared() -> None:
-    """Worms of a SyncVectorEnv have their own; what all share is not set for some of them."""
-    single = gymnasium.make_vec(
-        GOAL, 3, "sync", {"autoreset_mode": AutoresetMode.SAME_STEP}, fidelity="fast", control="column"
-    )
-    venv = WormVecEnv(single)
-    assert venv.get_attr("control_dt") == [0.05] * 3
-    venv.set_attr("note", "here", indices=[1])
-    assert [hasattr(worm, "note") for worm in venv.get_attr("unwrapped")] == [False, True, False]
-    venv = WormVecEnv(_Shared(single))
+def test_attributes_are_shared() -> None:
+    """One value for all worms, which is not set for some of them."""
+    venv = _together(_arguments(GOAL), 3)
     venv.set_attr("note", "there")
     assert venv.get_attr("note", indices=[0, 2]) == ["there", "there"]
     with pytest.raises(ValueError, match=r"^indices = \[1\]: must be None, as all worms share note"):
         venv.set_attr("note", "here", indices=[1])
-    single.close()
-
-
-class _Shared(VectorEnv[Any, Any, Any]):
-    """Vector environment that has no single ones."""
-
-    def __init__(self, like: VectorEnv[Any, Any, Any]) -> None:
-        self.num_envs, self.metadata, self.spec = like.num_envs, like.metadata, like.spec
-        self.single_action_space = like.single_action_space
-        self.single_observation_space = like.single_observation_space
+    venv.close()
 
 
 def test_pictures_are_tiled() -> None:
@@ -182,15 +178,20 @@ def test_pictures_are_tiled() -> None:
 
 def test_what_is_no_vector_of_worms_is_refused() -> None:
     """One clear error names what was given."""
-    with pytest.raises(ValueError, match=r"^envs = .*: must be a gymnasium\.vector\.VectorEnv"):
-        WormVecEnv(make_env(_arguments("LatticeWormExtension-v0", control="ring")))  # type: ignore[arg-type]
-    later = gymnasium.make_vec("LatticeWormExtension-v0", num_envs=1, vectorization_mode="sync", fidelity="fast")
+    same_step: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    worms = _arguments("LatticeWormExtension-v0", control="ring")
+    for other in (
+        make_env(worms),
+        gymnasium.make_vec(**worms, vectorization_mode="sync", vector_kwargs=same_step),
+        gymnasium.make_vec("CartPole-v1", vectorization_mode="sync", vector_kwargs=same_step),
+        LatticeWormVectorEnv(2, task="extension", fidelity="fast", **same_step),
+    ):
+        with pytest.raises(
+            ValueError, match=r"^envs = .*: must be a LatticeWormVectorEnv that gymnasium.make_vec made"
+        ):
+            WormVecEnv(cast(Any, other))
     with pytest.raises(ValueError, match=r"^envs: autoreset_mode must be AutoresetMode\.SAME_STEP, got .*NEXT_STEP"):
-        WormVecEnv(later)
-    same_step = {"autoreset_mode": AutoresetMode.SAME_STEP}
-    carts = gymnasium.make_vec("CartPole-v1", vectorization_mode="sync", vector_kwargs=same_step)
-    with pytest.raises(ValueError, match=r"^envs = .*: must be lattice worms that gymnasium\.make_vec made"):
-        WormVecEnv(carts)
+        WormVecEnv(gymnasium.make_vec(**worms))
     with pytest.raises(InputError, match="muscles = 'wings'"):
         make_vector_env(_arguments("LatticeWorm-v0", muscles="wings"), 2)
 
@@ -201,6 +202,8 @@ def test_what_is_no_vector_of_worms_is_refused() -> None:
         (lambda venv: venv.step(np.zeros((2, 7))), r"actions: shape must be \(2, 8\), got \(2, 7\)"),
         (lambda venv: venv.step(np.zeros(8)), r"actions: shape must be \(2, 8\), got \(8,\)"),
         (lambda venv: venv.set_options([{}]), "options: must be one dict, or a list of one for each of 2 worms"),
+        (lambda venv: venv.set_options([{}, None]), "options: must be one dict, or a list of one for each of 2 worms"),
+        (lambda venv: venv.set_options("none"), "options: must be one dict, or a list of one for each of 2 worms"),
     ],
 )
 def test_what_does_not_fit_the_worms_is_refused(ask: Callable[[VecEnv], object], message: str) -> None:
