@@ -40,7 +40,8 @@ SETTLING_SPAN, LONGEST_SETTLING = 0.5, 30.0
 QUIET, AT_REST = 1e-4, 1e-3
 """Largest speed of a node or ball at which settling ends, and at which an episode may start at all [heights / s].
 
-Doing nothing in the tasks' own worlds then earns less than 0.0001 a step."""
+A crawler that is damped as much as other tasks' worms is, comes down to the second only. In the tasks' own worlds the
+first is reached, and doing nothing then earns less than 0.0001 a step."""
 OK = str(Health())
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20.0}
 
@@ -126,7 +127,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ## Rewards
 
     The reward is the sum of `info["reward_terms"]`, in their order, to the last bit. Doing nothing earns nothing;
-    in crawl and transport, where worm and ball still creep, less than 0.0001 a step in their own worlds.
+    in crawl and transport, where the last of settling dies away, less than 0.0001 a step in their own worlds.
 
     | task | term | value at the end of the control step |
     |---|---|---|

@@ -45,11 +45,11 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         Steps after which an episode is truncated; None: never. `gymnasium.make_vec` gives that of the id.
     autoreset_mode
         `gymnasium.vector.AutoresetMode` or its value: when a worm whose episode has ended is reset, at the next step
-        (whose action it ignores), at once, or only by `reset`.
+        (whose action it ignores), at once, or only by `reset`. Of both only the value can be written as JSON.
     num_threads
         Threads that advance worms; None: as many as there are processors for this process.
     arguments
-        As of `LatticeWormEnv`.
+        As of `LatticeWormEnv`; an EnvSpec survives JSON as there.
 
     Raises
     ------

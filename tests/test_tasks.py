@@ -564,7 +564,7 @@ def test_slow_control_steps_cannot_follow() -> None:
 
 @pytest.mark.parametrize("name", list(TASKS))
 def test_gaits_beat_doing_nothing_and_chance(name: str) -> None:
-    """Doing nothing earns nothing, to what a ball still creeps, and a gait more than random commands."""
+    """Doing nothing earns nothing, to what settling leaves, and a gait more than random commands."""
     nothing, _ = _play(name, lambda env: np.zeros(env.action_space.shape))
     chance, _ = _play(name, lambda env: env.action_space.sample())
     made, _ = _play(name, lambda env: gait(name, env.lattice, env.layout, env.task.command)(env.time))

@@ -12,12 +12,13 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lattice_gym.design import FloatArray
+from lattice_gym.design import FloatArray, LatticeDesign
 from lattice_gym.env import LatticeWormEnv
 from lattice_gym.episode import DIVERGENCE_PENALTY
 from lattice_gym.tasks import TASKS
@@ -252,6 +253,16 @@ def test_wrappers_of_gymnasium() -> None:
         rewards.append(reward)
     np.testing.assert_allclose(info["episode"]["r"], np.sum(rewards, axis=0))
     assert info["episode"]["l"].tolist() == [3, 3]
+
+
+def test_specs_survive_json() -> None:
+    """With the arguments of a batch; the environment made of one gives the same."""
+    design = LatticeDesign(**SMALL)
+    made = gymnasium.make_vec("LatticeWormReach-v0", 3, autoreset_mode="SameStep", num_threads=1, design=design)
+    assert made.spec is not None
+    again = gymnasium.make_vec(EnvSpec.from_json(made.spec.to_json()))
+    assert (again.num_envs, again.metadata) == (3, made.metadata)
+    assert pickle.dumps(made.reset(seed=4)) == pickle.dumps(again.reset(seed=4))
 
 
 def test_pictures() -> None:
