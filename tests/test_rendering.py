@@ -255,6 +255,9 @@ def test_markers_are_where_they_are_asked_for(lattice: Lattice, model: RodModel)
     assert abs(low.mean(axis=0)[1] - high.mean(axis=0)[1]) < 1.0
     assert not green(render_frame(lattice, model, x, size=SIZE)).any()
     assert green(render_frame(lattice, model, x, size=SIZE, markers=[[0.0, 0.0, 0.1]])).any()
+    for wrong in (1.0, [0.0, 0.0, 0.1], [[0.0, 0.1]]):
+        with pytest.raises(ValueError, match=r"^markers has shape"):
+            render_frame(lattice, model, x, size=SIZE, markers=wrong)
 
 
 def test_wrong_arguments_are_refused(lattice: Lattice, model: RodModel) -> None:

@@ -353,5 +353,5 @@ def render_frame(
     markers: npt.ArrayLike | None = None,
 ) -> RGB:
     """One picture, as Renderer.update makes it, shape (height, width, 3); for many keep a Renderer."""
-    with Renderer(lattice, model, size, n_marker=0 if markers is None else len(np.asarray(markers))) as renderer:
+    with Renderer(lattice, model, size, n_marker=0 if markers is None else np.size(markers) // 3) as renderer:
         return renderer.update(position, activation, time, text, bolus, markers)
