@@ -622,9 +622,12 @@ def clipped_command(action: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[Floa
         raise ValueError(f"action: must hold real numbers, got {given.dtype}")
     if given.shape != shape:
         raise ValueError(f"action: shape must be {shape}, got {given.shape}")
+    command = given.astype(np.float64)
+    if given.min() >= 0.0 and given.max() <= 1.0:
+        return command, np.zeros(shape[:-1], dtype=np.int64)
     if np.isnan(given).any():
         raise ValueError(f"action: must not be NaN, got NaN in {np.argwhere(np.isnan(given)).tolist()}")
-    command = np.minimum(np.maximum(given.astype(np.float64), 0.0), 1.0)
+    command = np.minimum(np.maximum(command, 0.0), 1.0)
     return command, (command != given).sum(axis=-1)
 
 

@@ -54,10 +54,15 @@ def strain(lattice: Lattice, position: FloatArray) -> FloatArray:
     """
     n_node, end = lattice.n_node, lattice.n_rod * lattice.n_node
     chord = position[..., n_node - 1 : end : n_node, :] - position[..., 0:end:n_node, :]
-    rest = lattice.position[:, -1, 2] - lattice.position[:, 0, 2]
-    rise = _in_base(lattice, position, chord)[..., 2] - rest
-    share: FloatArray = rise.mean(axis=-1) / lattice.design.height
+    rise = _in_base(lattice, position, chord)[..., 2] - _rest_rise(lattice)
+    share: FloatArray = rise.sum(axis=-1) / (lattice.n_rod * lattice.design.height)
     return share
+
+
+@lru_cache(maxsize=64)
+def _rest_rise(lattice: Lattice) -> FloatArray:
+    """Rise of each rod from end to end at rest [m], shape (n_rod,)."""
+    return lattice.position[:, -1, 2] - lattice.position[:, 0, 2]
 
 
 def _in_base(lattice: Lattice, position: FloatArray, vectors: FloatArray) -> FloatArray:
@@ -199,11 +204,11 @@ def _rings(lattice: Lattice, position: FloatArray) -> tuple[FloatArray, FloatArr
     """Centroid of each level's sites [m], shape (..., n_level, 3), and their mean distance to it, (..., n_level)."""
     if lattice.n_level == 0:
         raise ValueError("lattice: its sites share no common levels (uneven phases), so it has no ring radii")
-    # Sites are sorted by height, and every level has as many.
-    site = site_positions(lattice, position)
-    ring = site.reshape(*site.shape[:-2], lattice.n_level, -1, 3)
-    centre = _centre(ring)
-    return centre, _norm(ring - centre[..., None, :]).mean(axis=-1)
+    # Sites are sorted by height, and every level has as many. Levels come last here: long rows take fewer loops.
+    first, second = lattice.site_nodes.reshape(lattice.n_level, -1, 2).T
+    site = 0.5 * (position.take(first, axis=-2) + position.take(second, axis=-2))
+    centre: FloatArray = site.sum(axis=-3) / len(first)
+    return centre, _norm(site - centre[..., None, :, :]).sum(axis=-2) / len(first)
 
 
 @dataclass(frozen=True)

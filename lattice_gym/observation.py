@@ -95,7 +95,7 @@ class Observer:
             parts.append(np.array([np.cos(angle), np.sin(angle)]).T)
         if self._strength and strength is not None:
             parts.append(strength)
-        flat = np.concatenate(parts, axis=-1).astype(np.float32)
+        flat = np.concatenate(parts, axis=-1, dtype=np.float32)
         if self._goals is None:
             return flat, beyond
         goals = {"achieved_goal": self._goals.achieved(motion), "desired_goal": self._goals.desired()}
@@ -106,10 +106,13 @@ class Observer:
         moving = np.empty((len(motion.position), 2, *self._rest.shape))
         displacement = np.subtract(self._sum(motion.position), self._rest, out=moving[:, 0])
         if self._task.travels:
-            displacement[..., :2] -= displacement[..., :2].mean(axis=-2, keepdims=True)
+            for along in (displacement[..., 0], displacement[..., 1]):
+                along -= along.mean(axis=-1, keepdims=True)
         moving[:, 1] = self._sum(motion.velocity)
         moving /= self._scale
         free = moving.reshape(len(moving), -1)
+        if np.abs(free).max(initial=0.0) <= OBSERVATION_BOUND:
+            return free, np.zeros(len(free), dtype=np.int64)
         bounded = np.minimum(np.maximum(free, -OBSERVATION_BOUND), OBSERVATION_BOUND)
         return bounded, (bounded != free).sum(axis=-1)
 

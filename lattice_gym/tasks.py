@@ -292,7 +292,7 @@ class GoalTask(Task):
 
 
 def _effort(activation: FloatArray) -> FloatArray:
-    price: FloatArray = -EFFORT_WEIGHT / activation.shape[-1] * np.sum(activation * activation, axis=-1)
+    price: FloatArray = -EFFORT_WEIGHT / activation.shape[-1] * (activation * activation).sum(axis=-1)
     return price
 
 
@@ -511,8 +511,8 @@ class Peristalsis(Task):
         target = self.target(time)
         error = deviation - target
         # sum target^2 - sum (deviation - target)^2, without the rounding of a difference
-        followed = np.sum((target - error) * deviation, axis=-1)
-        whole = 0.5 * len(self.height) * self.commanded["amplitude"] ** 2 + np.sum(error * error, axis=-1)
+        followed = ((target - error) * deviation).sum(axis=-1)
+        whole = 0.5 * len(self.height) * self.commanded["amplitude"] ** 2 + (error * error).sum(axis=-1)
         return {"tracking": followed / whole, "effort": _effort(activation)}
 
     def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:

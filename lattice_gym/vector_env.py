@@ -202,10 +202,11 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         """Advance all worms but those that are to be reset, and tell which of them are sound."""
         if self._ended.all():
             return ~self._ended
-        for worm in _worms(self._ended & self._failed):
-            self._engine.restore(worm, self._start)
         tension = self._episodes.tension(command)
-        tension[:, self._ended] = 0.0
+        if self._ended.any():
+            for worm in _worms(self._ended & self._failed):
+                self._engine.restore(worm, self._start)
+            tension[:, self._ended] = 0.0
         sound: Mask = self._engine.advance(tension, self._one.n_substeps) == 0
         return sound
 
@@ -304,7 +305,8 @@ def _count(name: str, value: object) -> int:
 
 def _worms(mask: Mask) -> list[int]:
     """Return the indices of some worms."""
-    return [int(worm) for worm in mask.nonzero()[0]]
+    worms: list[int] = mask.nonzero()[0].tolist()
+    return worms
 
 
 def _masked(values: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
