@@ -198,7 +198,10 @@ class Pack:
         muscle[list(model.muscles)] = np.arange(n_muscle)
         muscle_of = np.repeat(muscle, counts)
         pulled = muscle_of >= 0
-        self._pulled = self.element[0][:, pulled], self.element[1][:, pulled]
+        self._flat = self.cells.view(np.float64)
+        place_of = np.arange(self._flat.size).view(kernels.CELL)
+        at = self.element[0][:, pulled], self.element[1][:, pulled]
+        self._pulled = np.array([place_of[name][at] for name in ("tension", "tension_rise")]).view(np.int64)
         self._muscle = muscle_of[pulled]
         self.rows: IntArray = np.array(rows, np.int64)
         shape = n_worm, model.n_node, 3
@@ -324,8 +327,8 @@ class Pack:
         """
         rise = (end - start) / n_substeps
         first = start + 0.5 * rise
-        self.cells["tension"][self._pulled] = first[:, self._muscle]
-        self.cells["tension_rise"][self._pulled] = rise[:, self._muscle]
+        # Twice as fast as to write the fields.
+        self._flat[self._pulled] = np.array([first, rise]).take(self._muscle, axis=-1)
         if self.lines is not None:
             n_rod = len(self.models[0].muscles)
             self.lines.tension[:] = first[:, n_rod:].ravel()
