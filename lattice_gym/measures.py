@@ -372,7 +372,9 @@ def muscle_lengths(model: RodModel, position: FloatArray) -> FloatArray:
     """Length of every muscle along its rod, or of its line [m], shape (..., n_muscle), in the order of tensions."""
     (lower, start), (one, other) = model.muscle_elements, model.line_nodes
     along = _norm(position.take(lower + 1, axis=-2) - position.take(lower, axis=-2))
-    rods = np.add.reduceat(along, start, axis=-1) if start.size else along
+    rods: FloatArray = np.add.reduceat(along, start, axis=-1) if start.size else along
+    if not one.size:
+        return rods
     return np.concatenate([rods, _norm(position.take(one, axis=-2) - position.take(other, axis=-2))], axis=-1)
 
 

@@ -718,7 +718,7 @@ class Crawl(Task):
     def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Commanded direction along x, and how far the body is off course, to +y, in heights."""
         aside = self._way(motion, self.memory["start"])[:, 1]
-        return np.array([self.commanded["direction"], np.clip(aside, -COMMAND_BOUND, COMMAND_BOUND)]).T
+        return np.array([self.commanded["direction"], np.minimum(np.maximum(aside, -COMMAND_BOUND), COMMAND_BOUND)]).T
 
     def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
         """Way along the commanded direction in this step, and effort."""
@@ -727,7 +727,7 @@ class Crawl(Task):
         way = (centre - before["centre"])[:, 0] * self.commanded["direction"] / design.height
         # Tension is linear in time over the step, so its mean is that of its ends.
         tension = 0.5 * design.max_tension * self.strength * (before["activation"] + activation)
-        work = before["work"] + np.sum(tension * np.maximum(before["length"] - length, 0.0), axis=-1)
+        work = before["work"] + (tension * np.maximum(before["length"] - length, 0.0)).sum(axis=-1)
         self.memory |= {"centre": centre, "length": length, "activation": activation.copy(), "work": work}
         self.memory["time"] = time.copy()
         return {"progress": WAY_WEIGHT * way, "effort": _effort(activation)}
