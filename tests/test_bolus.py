@@ -415,6 +415,28 @@ def test_a_worm_keeps_its_books() -> None:
     np.testing.assert_allclose(entries[0], entries[1], rtol=1e-6, atol=1e-9)
 
 
+def test_books_close_where_a_ball_drags_what_the_ground_holds() -> None:
+    """Both frictions act on the same nodes: each works at the velocity that both leave, so the engines agree."""
+    rod = straight_rod((0.0, 0.0, 0.01), (0.4, 0.0, 0.01), 4, **ROD)
+    rider = Ball(
+        position=np.array([0.15, 0.0, 0.02 + RADIUS]), radius=RADIUS, mass=0.3, stiffness=1e3, friction=0.5,
+        force=(0.0, 0.0, -3.0),
+    )  # fmt: skip
+    ground = Ground(stiffness=2e3, static_friction=0.3, kinetic_friction=0.3)
+    model = RodModel(rods=(rod,), bolus=rider, gravity=np.array([0.0, 0.0, -9.81]), ground=ground)
+    entries, moved = [], []
+    for name in ("fused", "pyelastica"):
+        engine = make_engine(name, model, 1e-4, energy_check=True)
+        engine.restore(thrown(model, (1.0, 0.2, -0.1)))
+        assert engine.advance([], 200).ok
+        entry = engine.ledger
+        assert entry is not None
+        entries.append([entry.dissipated, entry.stored, entry.residual])
+        moved.append(engine.state.velocity[:, 0].mean())
+    assert min(moved) > 1e-3
+    np.testing.assert_allclose(entries[0], entries[1], rtol=1e-9, atol=1e-9 * abs(entries[1][0]))
+
+
 def cage(stiffness: float, mass: float, damping: float, friction: float, middle: bool) -> RodModel:
     """Ball held from six sides, at nodes or at the middles of elements, where forces balance its contacts."""
     depth, rods, forces, clamps = 1e-7, [], [], []

@@ -395,7 +395,7 @@ class FusedEngine(Engine):
         """Account with nothing in it: constants of every node and element by record and lane."""
         n_cell, lanes = self._pack.place.n_cell, kernels.LANES
         after, before, mixed, inertia, length, pull = np.zeros((6, n_cell, lanes))
-        velocity, omega = np.zeros((2, n_cell, 3, lanes))
+        velocity, omega, held = np.zeros((3, n_cell, 3, lanes))
         line, line_pull = np.zeros((2, len(self.model.lines)))
         node, element = self._node, self._element
         rate = node_decay(self.model, self.dt)
@@ -410,7 +410,7 @@ class FusedEngine(Engine):
             half * (1.0 / late - early),
         )
         inertia[element] = np.concatenate([rod.inertia for rod in self.model.rods])
-        moved = length, pull, velocity, omega, line, line_pull
+        moved = length, pull, velocity, omega, held, line, line_pull
         return kernels.Account(np.zeros(3), after, before, mixed, inertia, *moved)
 
     def _pack_ball(self) -> kernels.Ball | None:

@@ -43,7 +43,7 @@ CELL = _record(
     # Voronoi region
     bend=1, twist=1, rest_turn=3,
     # only where the scene has them
-    tension=1, tension_rise=1, inv_rest=1, couple=3, load=3, height=1, rubbed=1,
+    tension=1, tension_rise=1, inv_rest=1, couple=3, load=3, height=1,
 )  # fmt: skip
 """One record of a block."""
 
@@ -205,7 +205,8 @@ class Account(NamedTuple):
     shape (n_cell, LANES): what damping takes from a node, per square of its speed after the kick (`after`) and before
     (`before`) and per product of both (`mixed`) [kg], the inertia of an element [kg m^2], and of muscles the length [m]
     and the tension that acted [N] at the moment last counted; with components, shape (n_cell, 3, LANES): velocities and
-    spins at the step before. `line` and `line_pull` are length and tension of the lines, shape (n_line,).
+    spins at the step before, and what of the force of the ground on a node is of its friction and dashpot (`held`) [N].
+    `line` and `line_pull` are length and tension of the lines, shape (n_line,).
     """
 
     total: npt.NDArray[np.float64]
@@ -217,6 +218,7 @@ class Account(NamedTuple):
     pull: npt.NDArray[np.float64]
     velocity: npt.NDArray[np.float64]
     omega: npt.NDArray[np.float64]
+    held: npt.NDArray[np.float64]
     line: npt.NDArray[np.float64]
     line_pull: npt.NDArray[np.float64]
 
@@ -448,11 +450,13 @@ def _large_half_angle(pair: Cells, work: Any) -> None:
 
 
 @inlined
-def _move_node(here: Any, drift: float, loads: float | None, ground: Ground | None, account: Account | None) -> None:
+def _move_node(
+    here: Any, drift: float, loads: float | None, ground: Ground | None, account: Account | None, n: int
+) -> None:
     """Kick, damp and drift node n, and reset its force to its constant load for the next step."""
     x, v, force, push, keep, load = here.x, here.v, here.force, here.push, here.keep, here.load
     if ground is not None:
-        _kick_on_ground(here, ground, account)
+        _kick_on_ground(here, ground, account, n)
     for j in range(LANES):
         if ground is not None:
             u0, u1, u2 = v[0, j], v[1, j], v[2, j]
@@ -497,16 +501,15 @@ def _resisted(u0: float, u1: float, ground: Ground, axis: Axis | None) -> float:
 
 
 @compiled
-def _kick_on_ground(here: Any, ground: Ground, account: Account | None) -> None:
+def _kick_on_ground(here: Any, ground: Ground, account: Account | None, n: int) -> None:
     """Kick and damp node n, borne and held back by the ground.
 
     The normal force is that of a spring and a dashpot, but never pulls; it takes the velocity before the kick. It
     bounds the friction, which takes from the velocity after the kick and the damping: all of it where that is within
     its reach (the node sticks), else as much as it can. So it balances the sum of all other forces, and feeds nothing.
-    For the account: twice the power that goes, of dashpot and friction at the mean velocity of the step.
+    What it took is noted for the account, not yet its work: the ball's friction may change the velocity again.
     """
-    x, v, force, push, keep = here.x, here.v, here.force, here.push, here.keep
-    height, rubbed = here.height, here.rubbed
+    x, v, force, push, keep, height = here.x, here.v, here.force, here.push, here.keep, here.height
     for j in range(LANES):
         depth = height[j] - x[2, j]
         bare = ground.stiffness * depth
@@ -519,9 +522,9 @@ def _kick_on_ground(here: Any, ground: Ground, account: Account | None) -> None:
         grip = _resisted(u0, u1, ground, ground.axis) * normal * push[j]
         left = 1.0 - ground.kinetic_friction * grip / slip if slip > ground.static_friction * grip else 0.0
         if account is not None:
-            lost = (1.0 - left) * (u0 * (v[0, j] + left * u0) + u1 * (v[1, j] + left * u1))
-            lost = lost / push[j] if lost != 0.0 else 0.0
-            rubbed[j] = lost + ((bare if depth > 0.0 else 0.0) - normal) * (v[2, j] + u2)
+            share = (left - 1.0) / push[j] if push[j] > 0.0 else 0.0
+            account.held[n, 0, j], account.held[n, 1, j] = share * u0, share * u1
+            account.held[n, 2, j] = normal - (bare if depth > 0.0 else 0.0)
         v[0, j], v[1, j], v[2, j] = left * u0, left * u1, u2
 
 
@@ -722,15 +725,15 @@ def _step_blocks(
         one = work[first & mask]
         one.passed[:] = 0.0
         _stress(rods[0:2], one, tension, hill, spin_damping, symmetric)
-        _move_node(rods[0], drift, loads, ground, account)
+        _move_node(rods[0], drift, loads, ground, account, first)
         for e in range(last):
             one, two = work[(first + e) & mask], work[(first + e + 1) & mask]
             _stress(rods[e + 1 : e + 3], two, tension, hill, spin_damping, symmetric)
-            _move_node(rods[e + 1], drift, loads, ground, account)
+            _move_node(rods[e + 1], drift, loads, ground, account, first + e + 1)
             _half_angle(rods[e : e + 2], one)
             _spin_element(rods[e : e + 2], one, two, dt, drift, 1.0, couples, spin_damping, symmetric)
             _rotate_element(rods[e], one, drift)
-        _move_node(rods[last + 1], drift, loads, ground, account)
+        _move_node(rods[last + 1], drift, loads, ground, account, first + last + 1)
         one = work[(first + last) & mask]
         _spin_element(rods[last : last + 2], one, one, dt, drift, None, couples, spin_damping, symmetric)
         _rotate_element(rods[last], one, drift)
@@ -1228,14 +1231,14 @@ def _account(
         for n in range(first, last + 1):
             v, u = cells[n].v, account.velocity[n]
             after, before, mixed = account.after[n], account.before[n], account.mixed[n]
+            if ground is not None:
+                for i in range(3):
+                    for j in range(LANES):
+                        lost -= 0.5 * dt * account.held[n, i, j] * (u[i, j] + v[i, j])
             for i in range(3):
                 for j in range(LANES):
                     lost += v[i, j] * (after[j] * v[i, j] + mixed[j] * u[i, j]) + before[j] * u[i, j] * u[i, j]
                     u[i, j] = v[i, j]
-            if ground is not None:
-                rubbed = cells[n].rubbed
-                for j in range(LANES):
-                    lost += 0.5 * dt * rubbed[j]
         for n in range(first, last):
             here, early = cells[n], account.omega[n]
             w, couple = here.w, here.couple
