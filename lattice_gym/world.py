@@ -124,7 +124,10 @@ class Ground(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class Bolus(Part):
-    """A rigid ball inside the lattice, whose muscles must then be rods: lines touch nothing."""
+    """A rigid ball inside the lattice, whose muscles must then be rods: lines touch nothing.
+
+    It has its weight less that of the medium, but neither the medium's drag nor the ground acts on it.
+    """
 
     bounds: ClassVar[Bounds] = {
         "radius": (1e-4, 10.0, "m"),
