@@ -26,7 +26,8 @@ from lattice_gym.world import Bolus, Contact, Ground, Medium, World
 FIELDS = ("position", "velocity", "directors", "omega", "bolus_position", "bolus_velocity", "bolus_omega")
 DT = 1e-4
 SMALL = {"n_pairs": 3, "elements_per_segment": 3, "elements_per_muscle": 2}
-LYING = World(medium=Medium(drag=0.1), ground=Ground(forward=0.3), lying=True)
+LYING = World(medium=Medium(drag=0.1), ground=Ground(), lying=True)
+BY_DIRECTION = replace(LYING, ground=Ground(forward=0.3))
 
 
 def worm(world: World | None = None, hill: Hill | None = None, layout: str = "extension", **design: Any) -> RodModel:
@@ -70,6 +71,7 @@ SCENES: dict[str, tuple[RodModel, Splitting]] = {
     "extension": (worm(), "pyelastica"),
     "symmetric": (worm(layout="all"), "symmetric"),
     "ground": (worm(LYING, base="free", damping=1e-3), "symmetric"),
+    "by direction": (worm(BY_DIRECTION, base="free", damping=1e-3), "symmetric"),
     "hill": (worm(hill=Hill()), "symmetric"),
     "lines": (worm(muscle_model="line", joint_damping=0.01), "symmetric"),
     "contact": (worm(World(contact=Contact(stiffness=10.0))), "symmetric"),
@@ -90,6 +92,8 @@ def test_worms_side_by_side_move_as_alone(name: str) -> None:
         assert set(ends) == {Status.OK}
     apart = np.abs(batch.position[0] - batch.position[1:]).max(axis=(1, 2))
     assert (apart > 0.0).all()
+    # What cannot share a pack has an engine of its own.
+    assert (len(batch._parts) == len(models)) == (name in ("by direction", "contact", "bolus"))
     batch.close()
 
 
