@@ -126,7 +126,7 @@ class Ground(Part):
 class Bolus(Part):
     """A rigid ball inside the lattice, whose muscles must then be rods: lines touch nothing.
 
-    It has its weight less that of the medium, but neither the medium's drag nor the ground acts on it.
+    A medium carries its share of the ball's weight, but neither the medium's drag nor the ground acts on it.
     """
 
     bounds: ClassVar[Bounds] = {
