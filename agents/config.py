@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -49,7 +49,8 @@ _REAL = {
 _WIDTH = "[1, 65536]"
 _SWITCHES = ("anneal", "gsde")
 _SIDEWAYS = ("bending", "reach")  # tasks that muscles alike all around cannot do
-_OPTIONAL = ("control", "rhythm", "time_limit", "num_threads")
+_ONWARD = ("crawl", "transport")  # tasks of strokes that last longer than the five steps that 0.8 looks ahead
+_OPTIONAL = ("control", "rhythm", "gamma", "time_limit", "num_threads")
 _PLACES = ("design", "muscles", "run_dir", "resume")  # files of this machine, kept out of config.json
 
 
@@ -112,8 +113,8 @@ class TrainConfig:
     """Step size of Adam."""
     anneal: bool = True
     """Let the step size fall linearly over total_steps, to that share which the last rollout is of them."""
-    gamma: float = 0.8
-    """Discount of the reward, each control step."""
+    gamma: float | None = None
+    """Discount of the reward, each control step; 0.95 to crawl or transport, else 0.8."""
     gae_lambda: float = 0.95
     """Decay of the generalised advantage estimate, each control step."""
     clip_range: float = 0.2
@@ -176,6 +177,15 @@ class TrainConfig:
     def driven(self) -> Control:
         """What one action drives: as given, or the grouping with which the task can be learned fast."""
         return self.control or ("column" if self.task in _SIDEWAYS else "ring")
+
+    @property
+    def discount(self) -> float:
+        """Discount of the reward: as given, or one that sees as far ahead as the task needs."""
+        return (0.95 if self.task in _ONWARD else 0.8) if self.gamma is None else self.gamma
+
+    def resolved(self) -> TrainConfig:
+        """Return the settings with what depends on the task filled in, as a run folder keeps them."""
+        return replace(self, control=self.driven, gamma=self.discount)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON-safe values, without the places on this machine (design, run_dir, ...)."""

@@ -35,7 +35,7 @@ def demo(
     a video is wanted but cannot be made.
     """
     began = time.monotonic()
-    settings = replace(settings, control=settings.driven)
+    settings = settings.resolved()
     if video:
         _need_video()
     if fresh and path.exists():

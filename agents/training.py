@@ -39,7 +39,7 @@ def train(config: TrainConfig) -> Path:
     or termination; a second one ends it at once.
     """
     began = time.monotonic()
-    config = replace(config, control=config.driven)
+    config = config.resolved()
     torch.set_num_threads(config.torch_threads)
     run = create_run(config) if config.resume is None else reopen_run(config)
     done = f"{run.path}: {run.steps} of {config.total_steps} steps done"
@@ -141,12 +141,12 @@ def new_model(config: TrainConfig, venv: VecEnv) -> PPO:
     """Untrained PPO on worms whose observations and rewards are normalised."""
     return PPO(
         "MlpPolicy",
-        VecNormalize(venv, gamma=config.gamma),
+        VecNormalize(venv, gamma=config.discount),
         learning_rate=step_size(config),
         n_steps=config.n_steps,
         batch_size=config.batch_size,
         n_epochs=config.n_epochs,
-        gamma=config.gamma,
+        gamma=config.discount,
         gae_lambda=config.gae_lambda,
         clip_range=config.clip_range,
         ent_coef=config.entropy_coefficient,

@@ -85,7 +85,7 @@ def test_run_folder_is_complete(finished: Path) -> None:
         "tensorboard",
     }
     run = Run.open(finished)
-    assert run.config == replace(TINY, control="ring")
+    assert run.config == replace(TINY, control="ring", gamma=0.8)
     assert json.loads((finished / "config.json").read_text())["control"] == "ring"
     assert run.steps == 160
     assert {file.name for file in run.newest.iterdir()} == {"model.zip", "vecnormalize.pkl"}
@@ -120,6 +120,16 @@ def test_every_update_learns(tmp_path: Path) -> None:
     assert max(float((after[name] - before[name]).abs().max()) for name in before) > 1e-3
 
 
+def test_discount_goes_by_the_task() -> None:
+    """The learner and its normalisation have it, unless another is given."""
+    for task, given, used in (("crawl", None, 0.95), ("extension", None, 0.8), ("crawl", 0.8, 0.8)):
+        config = replace(TINY, task=task, gamma=given)
+        model = new_model(config, make_vector_env(run_folder.requested_arguments(config), 1))
+        normaliser = model.get_env()
+        assert isinstance(normaliser, VecNormalize)
+        assert (model.gamma, normaliser.gamma, config.resolved().gamma) == (used, used, used)
+
+
 @pytest.mark.parametrize(("total", "rates"), [(40, [1e-3]), (100, [1e-3, 2e-4]), (160, [1e-3, 5e-4])])
 def test_step_size_of_runs_that_end_within_a_rollout(total: int, rates: list[float]) -> None:
     """It goes by the steps done before a rollout, whatever the total."""
@@ -149,7 +159,7 @@ def test_resume_continues_with_the_same_settings(copy: Path) -> None:
     train(replace(resume_settings(copy), total_steps=240, num_threads=1))
     run = Run.open(copy)
     assert run.steps == 240
-    assert run.config == replace(TINY, total_steps=240, num_threads=1, control="ring")
+    assert run.config == replace(TINY, total_steps=240, num_threads=1, control="ring", gamma=0.8)
     assert [row["time/total_timesteps"] for row in run.rows()] == [80, 160, 240]
     assert (copy / "progress.csv").read_text().splitlines()[1].split(",")[:5] == before[1].split(",")[:5]
     assert [session["from_step"] for session in json.loads((copy / "versions.json").read_text())] == [0, 160]

@@ -14,14 +14,14 @@ from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from agents.command_line import Progress, as_program, on_signal
-from agents.config import InputError, TrainConfig, within
+from agents.config import InputError, Task, TrainConfig, within
 from agents.run_folder import Run
 from train import main as train_main
 
@@ -88,7 +88,7 @@ def test_bad_settings_name_field_and_value(field: str, value: Any) -> None:
         fidelity=st.sampled_from(["fast", "default", "fine"]),
         seed=st.integers(0, 2**32 - 1),
         rhythm=st.none() | st.floats(0.1, 10.0),
-        gamma=st.floats(0.0, 1.0, exclude_min=True),
+        gamma=st.none() | st.floats(0.0, 1.0, exclude_min=True),
         hidden_sizes=st.lists(st.integers(1, 512), min_size=1, max_size=4).map(tuple),
         anneal=st.booleans(),
     )
@@ -123,6 +123,13 @@ def test_bending_is_not_driven_by_rings() -> None:
     with pytest.raises(InputError, match=r"^control = 'ring': must be "):
         TrainConfig(task="bending", control="ring")
     TrainConfig(task="bending", control="ring", muscles="one-sided.json")
+
+
+def test_discount_depends_on_the_task() -> None:
+    """A worm that moves on needs to look further ahead than one that changes its shape."""
+    discounts = {task: TrainConfig(task=task).discount for task in get_args(Task)}
+    assert discounts == dict.fromkeys(get_args(Task), 0.8) | {"crawl": 0.95, "transport": 0.95}
+    assert TrainConfig(task="crawl", gamma=0.8).resolved() == TrainConfig(task="crawl", gamma=0.8, control="ring")
 
 
 def test_every_setting_has_a_docstring_on_the_command_line() -> None:
