@@ -51,7 +51,7 @@ _SWITCHES = ("anneal", "gsde")
 _SIDEWAYS = ("bending", "reach")  # tasks that muscles alike all around cannot do
 _ONWARD = ("crawl", "transport")  # tasks of strokes that last longer than the five steps that 0.8 looks ahead
 _OPTIONAL = ("control", "rhythm", "gamma", "time_limit", "num_threads")
-_PLACES = ("design", "muscles", "run_dir", "resume")  # files of this machine, kept out of config.json
+_PLACES = ("design", "muscles", "environment", "run_dir", "resume")  # files of this machine, kept out of config.json
 
 
 class InputError(ValueError):
@@ -90,6 +90,8 @@ class TrainConfig:
     """JSON file of a LatticeDesign, or of the fields that differ from the task's own; the task's own if not given."""
     muscles: str | None = None
     """Name of a muscle layout (extension, compression, bending, all) or its JSON file; the task's own if not given."""
+    environment: Path | None = None
+    """JSON file of further arguments of LatticeWormEnv by name, such as world, command, hill, adaptation, randomise."""
     engine: Engine = "fused"
     """What integrates the rods."""
     control_dt: float = 0.05
@@ -167,7 +169,7 @@ class TrainConfig:
         if self.n_envs * self.n_steps % self.batch_size:
             samples = self.n_envs * self.n_steps
             raise InputError(f"batch_size = {self.batch_size}: must divide n_envs * n_steps = {samples}; set all")
-        for name in ("design", "run_dir", "resume"):
+        for name in ("design", "environment", "run_dir", "resume"):
             if not isinstance(getattr(self, name), Path | None):
                 raise InputError(f"{name} = {getattr(self, name)!r}: must be a path")
         if not isinstance(self.muscles, str | None):

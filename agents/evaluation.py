@@ -179,12 +179,13 @@ def evaluate(
         seen = worm_seeds(run.config, session["from_step"])
         if seeds.start < seen.stop and seen.start < seeds.stop:
             raise InputError(f"seed = {seed}: episodes must not have those of training, {seen.start} to {seen[-1]}")
-    env = make_env(run.env_arguments)
-    checkpoint = run.newest
-    starts: dict[PolicyName, Start] = {"policy": trained_policy(checkpoint, env), **BASELINES}
-    progress = Progress()
-    scores = {name: score(env, start, seeds, partial(progress, POLICIES[name])) for name, start in starts.items()}
-    env.close()
+    checkpoint, progress = run.newest, Progress()
+    scores: dict[PolicyName, Score] = {}
+    for name, title in POLICIES.items():
+        env = make_env(run.env_arguments)  # one each: muscles may carry over what an earlier episode did to them
+        start = trained_policy(checkpoint, env) if name == "policy" else BASELINES[name]
+        scores[name] = score(env, start, seeds, partial(progress, title))
+        env.close()
     report = {
         "made": run_folder.made_by(command),
         "trained_with": sessions,

@@ -4,6 +4,7 @@ config.json      settings (`TrainConfig.to_dict`)
 versions.json    Python, packages and commit of every session that trained the run
 design.json      LatticeDesign
 muscles.json     MuscleLayout
+environment.json further arguments of the environment, if any were given
 progress.csv     one row an update
 checkpoints/     the newest few checkpoints, each in a folder named by its environment steps that appears once complete:
                  model.zip         policy and optimiser
@@ -23,12 +24,14 @@ import os
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from agents.config import InputError, TrainConfig
 from lattice_gym.design import LatticeDesign
+from lattice_gym.env import LatticeWormEnv
 from lattice_gym.fidelity import FidelityName
 from lattice_gym.lattice import build_lattice
 from lattice_gym.muscles import MuscleLayout, resolve_layout
@@ -40,6 +43,7 @@ CONFIG = "config.json"
 VERSIONS = "versions.json"
 DESIGN = "design.json"
 MUSCLES = "muscles.json"
+ENVIRONMENT = "environment.json"
 MODEL = "model.zip"
 NORMALISATION = "vecnormalize.pkl"
 PROGRESS = "progress.csv"
@@ -69,7 +73,9 @@ class Run:
         config = read_file(path / CONFIG, lambda file: TrainConfig.from_dict(_parse_json(file)))
         design = read_file(path / DESIGN, _parse_design)
         layout = read_file(path / MUSCLES, lambda file: resolve_layout(_parse_json(file), build_lattice(design)))
-        return cls(path, config, env_arguments(config, design, layout))
+        file = path / ENVIRONMENT
+        further = read_environment(file) if file.exists() else {}
+        return cls(path, config, env_arguments(config, design, layout, further))
 
     @property
     def fidelity(self) -> FidelityName:
@@ -113,8 +119,10 @@ class Run:
         return sorted((f for f in folders if f.name.isdigit()), key=lambda folder: int(folder.name), reverse=True)
 
 
-def env_arguments(config: TrainConfig, design: LatticeDesign, muscles: MuscleLayout | str | None) -> dict[str, Any]:
-    """JSON-safe arguments of `gymnasium.make` for a run's environment."""
+def env_arguments(
+    config: TrainConfig, design: LatticeDesign, muscles: MuscleLayout | str | None, further: Mapping[str, Any]
+) -> dict[str, Any]:
+    """JSON-safe arguments of `gymnasium.make` for a run's environment; `further` as `read_environment` gives them."""
     return {
         "id": f"lattice_gym:LatticeWorm{config.task.capitalize()}-v0",
         "design": design.to_dict(),
@@ -125,11 +133,12 @@ def env_arguments(config: TrainConfig, design: LatticeDesign, muscles: MuscleLay
         "control_dt": config.control_dt,
         "observation": config.observation,
         "fidelity": config.fidelity,
+        **further,
     }
 
 
 def requested_arguments(config: TrainConfig) -> dict[str, Any]:
-    """Environment arguments of a new run, with the design and muscles that the settings name.
+    """Environment arguments of a new run, with the files that the settings name.
 
     A design file changes the task's own design, by field.
     """
@@ -141,7 +150,8 @@ def requested_arguments(config: TrainConfig) -> dict[str, Any]:
     muscles: MuscleLayout | str | None = config.muscles
     if config.muscles is not None and config.muscles.endswith(".json"):
         muscles = read_file(Path(config.muscles), lambda file: MuscleLayout.from_dict(_parse_json(file)))
-    return env_arguments(config, design, muscles)
+    further = {} if config.environment is None else read_environment(config.environment)
+    return env_arguments(config, design, muscles, further)
 
 
 def save_checkpoint(run: Path, steps: int, files: Mapping[str, Callable[[Path], object]]) -> None:
@@ -172,6 +182,24 @@ def write_json(path: Path, values: object) -> None:
     """Write JSON whole or not at all; NaN is an error."""
     text = json.dumps(values, indent=1, allow_nan=False) + "\n"
     write_whole(path, lambda unfinished: unfinished.write_text(text, encoding="utf-8"))
+
+
+def read_environment(path: Path) -> dict[str, Any]:
+    """Arguments of LatticeWormEnv that no setting gives; raises InputError that names the file and the argument.
+
+    Their values are checked where the environment is built.
+    """
+    given = read_json(path)
+    if not isinstance(given, dict):
+        raise InputError(f"{path}: must hold a JSON object of arguments of LatticeWormEnv by name")
+    taken = set(signature(LatticeWormEnv).parameters) - {"render_mode"}
+    settings = {field.name for field in fields(TrainConfig)}
+    for name in given:
+        if name in taken & settings:
+            raise InputError(f"{path}: {name}: must be given by its own option, --{name.replace('_', '-')}")
+        if name not in taken:
+            raise InputError(f"{path}: {name}: unknown argument; known are {', '.join(sorted(taken - settings))}")
+    return given
 
 
 def read_json(path: Path) -> Any:

@@ -28,7 +28,8 @@ from agents.run_folder import Run, read_file
 from lattice_gym.trajectory import replacing
 
 _DIVERGED = "worm/diverged_episodes"
-_MAY_CHANGE = ("total_steps", "time_limit", "num_threads", "design", "muscles", "run_dir", "resume")
+_NEW_ONLY = ("design", "muscles", "environment", "run_dir")
+_MAY_CHANGE = ("total_steps", "time_limit", "num_threads", "resume", *_NEW_ONLY)
 
 
 def train(config: TrainConfig) -> Path:
@@ -89,6 +90,9 @@ def create_run(config: TrainConfig) -> Run:
     with replacing(path) as unfinished:
         run_folder.write_json(unfinished / run_folder.DESIGN, design)
         run_folder.write_json(unfinished / run_folder.MUSCLES, worm.layout.to_dict())
+        if config.environment is not None:
+            further = run_folder.read_environment(config.environment)
+            run_folder.write_json(unfinished / run_folder.ENVIRONMENT, further)
         run_folder.write_json(unfinished / run_folder.VERSIONS, [run_folder.session(0)])
         run_folder.write_json(unfinished / run_folder.CONFIG, config.to_dict())
     return Run.open(path)
@@ -107,8 +111,8 @@ def reopen_run(config: TrainConfig) -> Run:
         given, stored = getattr(config, field.name), getattr(run.config, field.name)
         if field.name not in _MAY_CHANGE and given != stored:
             raise InputError(f"{field.name} = {given!r}: must be {stored!r}, as {run.path} keeps its settings")
-    if config.design is not None or config.muscles is not None or config.run_dir is not None:
-        raise InputError(f"design, muscles, run_dir: must not be given with --resume, as {run.path} keeps its own")
+    if any(getattr(config, name) is not None for name in _NEW_ONLY):
+        raise InputError(f"{', '.join(_NEW_ONLY)}: must not be given with --resume, as {run.path} keeps its own")
     if config.total_steps < run.steps and config.total_steps != run.config.total_steps:
         raise InputError(f"total_steps = {config.total_steps}: must be {run.steps} or more, which {run.path} has done")
     return replace(run, config=config)

@@ -122,7 +122,12 @@ def test_every_update_learns(tmp_path: Path) -> None:
 
 def test_discount_goes_by_the_task() -> None:
     """The learner and its normalisation have it, unless another is given."""
-    for task, given, used in (("crawl", None, 0.95), ("extension", None, 0.8), ("crawl", 0.8, 0.8)):
+    cases: list[tuple[Task, float | None, float]] = [
+        ("crawl", None, 0.95),
+        ("extension", None, 0.8),
+        ("crawl", 0.8, 0.8),
+    ]
+    for task, given, used in cases:
         config = replace(TINY, task=task, gamma=given)
         model = new_model(config, make_vector_env(run_folder.requested_arguments(config), 1))
         normaliser = model.get_env()
@@ -237,6 +242,7 @@ def test_run_killed_before_its_first_checkpoint_starts_over(copy: Path) -> None:
         ({"seed": 9}, "seed = 9: must be 3"),
         ({"n_steps": 40}, "n_steps = 40: must be 80"),
         ({"design": Path("worm.json")}, "must not be given with --resume"),
+        ({"environment": Path("environment.json")}, "must not be given with --resume"),
         ({"run_dir": Path("elsewhere")}, "must not be given with --resume"),
         ({"total_steps": 159}, "total_steps = 159: must be 160 or more"),
     ],
@@ -277,6 +283,53 @@ def test_design_and_muscles_from_files(finished: Path, tmp_path: Path) -> None:
     worm: Any = make_env(Run.open(path).env_arguments).unwrapped
     assert worm.design.max_tension == 0.25
     assert len(worm.layout) == 6
+
+
+FURTHER = {
+    "world": {"medium": {"density": 900.0, "drag": 0.2}},
+    "randomise": {"max_tension": [0.9, 1.1]},
+    "command": {"azimuth": [0.0, 1.5]},
+    "adaptation": {"carry": True, "strain_gain": 0.1},
+}
+
+
+def test_environment_from_a_file(tmp_path: Path) -> None:
+    """Training, resuming, evaluation and rollouts have what it says, also once the file is gone."""
+    file = tmp_path / "environment.json"
+    file.write_text(json.dumps(FURTHER))
+    path = train(replace(TINY, task="bending", environment=file, total_steps=80, run_dir=tmp_path / "run"))
+    file.unlink()
+    run = Run.open(path)
+    assert run.config.environment is None
+    assert {name: run.env_arguments[name] for name in FURTHER} == FURTHER
+    train(replace(resume_settings(path), total_steps=160))
+    scores = evaluate(path, episodes=1)
+    evaluate(path, episodes=1)
+    assert evaluate(path, episodes=1) == scores
+    medium = record(run, "gait").world.medium
+    assert medium is not None
+    assert medium.density == 900.0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[1]", r"must hold a JSON object"),
+        ('{"wrold": {}}', r"wrold: unknown argument; known are adaptation, .*, world$"),
+        ('{"control_dt": 0.1}', r"control_dt: must be given by its own option, --control-dt$"),
+        ("{", r"damaged"),
+    ],
+)
+def test_environment_file_that_cannot_be_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    """Before anything is written, and in one line that names the file."""
+    file = tmp_path / "environment.json"
+    file.write_text(text)
+    with pytest.raises(InputError, match=rf"^{re.escape(str(file))}: {message}"):
+        train(replace(TINY, environment=file, run_dir=tmp_path / "run"))
+    file.write_text('{"world": {"ground": {"static_friction": -1.0}}}')
+    with pytest.raises(InputError, match="static_friction"):
+        train(replace(TINY, environment=file, run_dir=tmp_path / "run"))
+    assert not (tmp_path / "run").exists()
 
 
 def test_divergence_is_counted_and_learning_goes_on(tmp_path: Path) -> None:

@@ -72,6 +72,7 @@ def test_within_agrees_with_comparisons(value: float, low: float, high: float) -
         ("anneal", 1),
         ("gsde", None),
         ("design", "worm.json"),
+        ("environment", {}),
         ("muscles", 3),
     ],
 )
