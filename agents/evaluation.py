@@ -165,8 +165,8 @@ def evaluate(
 ) -> dict[PolicyName, Score]:
     """Score the newest checkpoint and the baselines on the same seeds and write evaluation.json.
 
-    The worm is computed at the fidelity given, by default at that of training. Raises InputError on
-    a damaged run folder and where an episode would have a seed of training.
+    The worm is computed at the fidelity given, which then is in the name of the file, by default at that of training.
+    Raises InputError on a damaged run folder and where an episode would have a seed of training.
     """
     if episodes < 1:
         raise InputError(f"episodes = {episodes}: must be 1 or more")
@@ -198,7 +198,7 @@ def evaluate(
             for name, result in scores.items()
         },
     }
-    run_folder.write_json(path / run_folder.EVALUATION, report)
+    run_folder.write_json(path / run_folder.at_fidelity(run_folder.EVALUATION, fidelity), report)
     return scores
 
 
@@ -239,7 +239,11 @@ def main(
     command = shlex.join(["python", "-m", "agents.evaluation", *sys.argv[1:]])
     scores = evaluate(run, episodes, seed, command, fidelity)
     print(format_scores(scores))
-    print(f"\nmean +- standard deviation over {episodes} episodes; written to {run / run_folder.EVALUATION}")
+    file = run / run_folder.at_fidelity(run_folder.EVALUATION, fidelity)
+    print(
+        f"\nmean +- standard deviation over {episodes} episodes at fidelity {Run.open(run).at(fidelity).fidelity}; "
+        f"written to {file}"
+    )
 
 
 if __name__ == "__main__":

@@ -78,15 +78,15 @@ def export(
     damaged file of the run folder, or a span that holds no frames of the episode.
     """
     run = Run.open(path).at(fidelity)
-    stem = f"{policy}-{seed}" + ("" if run.fidelity == run.config.fidelity else f"-{run.fidelity}")
+    stem = run_folder.at_fidelity(f"{policy}-{seed}", fidelity)
     files = Artefacts(
         path / f"{stem}.npz",
         path / f"{stem}.mp4",
         path / f"{stem}-activation.png",
-        path / "learning_curve.png",
+        path / run_folder.at_fidelity("learning_curve.png", fidelity),
         None if gif is None else path / f"{stem}.gif",
     )
-    plot_learning_curve(run, files.learning_curve)
+    plot_learning_curve(run, files.learning_curve, fidelity)
     trajectory = record(run, policy, seed)
     progress = Progress()
     if gif is not None and files.gif is not None:
@@ -116,8 +116,8 @@ def span(trajectory: Trajectory, gif: tuple[float, float]) -> Trajectory:
     )
 
 
-def plot_learning_curve(run: Run, path: Path) -> None:
-    """Draw return over environment steps, with the evaluated policies as lines if evaluation.json is there."""
+def plot_learning_curve(run: Run, path: Path, fidelity: FidelityName | None = None) -> None:
+    """Draw return over environment steps, with the policies as lines that were evaluated at the fidelity given."""
     from matplotlib.figure import Figure  # costs a second that training does not need
 
     rows = [row for row in run.rows() if "worm/return_mean" in row]
@@ -130,7 +130,7 @@ def plot_learning_curve(run: Run, path: Path) -> None:
         steps, low, high, color="tab:blue", alpha=0.2, linewidth=0.0, label="± standard deviation over episodes"
     )
     for (name, level), colour in zip(
-        evaluated(run).items(), ("black", "tab:green", "tab:gray", "tab:orange"), strict=False
+        evaluated(run, fidelity).items(), ("black", "tab:green", "tab:gray", "tab:orange"), strict=False
     ):
         axes.axhline(level, color=colour, linestyle="--", linewidth=1.0, label=name)
     axes.set_xlabel("environment steps")
@@ -142,22 +142,22 @@ def plot_learning_curve(run: Run, path: Path) -> None:
         figure.savefig(partial, dpi=150)
 
 
-def evaluated(run: Run) -> dict[str, float]:
+def evaluated(run: Run, fidelity: FidelityName | None = None) -> dict[str, float]:
     """Mean return of every evaluated policy, the trained one only as its newest checkpoint; nothing before that.
 
     The names tell a fidelity other than that of training.
     """
-    path = run.path / run_folder.EVALUATION
+    path = run.path / run_folder.at_fidelity(run_folder.EVALUATION, fidelity)
     if not path.exists():
         return {}
     report = run_folder.read_json(path)
     try:
         means = {name: float(report["policies"][name]["return_mean"]) for name in POLICIES}
         current = report["steps"] == run.steps
-        fidelity = report.get("fidelity", run.config.fidelity)
+        scored = report.get("fidelity", run.config.fidelity)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: damaged or not of this kind: {error!r}") from error
-    note = "" if fidelity == run.config.fidelity else f" ({fidelity})"
+    note = "" if scored == run.config.fidelity else f" ({scored})"
     return {title + note: means[name] for name, title in POLICIES.items() if current or name != "policy"}
 
 

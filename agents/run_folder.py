@@ -10,7 +10,8 @@ checkpoints/     the newest few checkpoints, each in a folder named by its envir
                  model.zip         policy and optimiser
                  vecnormalize.pkl  means and spreads of observations and rewards that belong to it
 tensorboard/     the same numbers as progress.csv, for TensorBoard
-evaluation.json  scores beside baselines, and the steps of the checkpoint they are of, once it was evaluated
+evaluation.json  scores beside baselines, and the steps of the checkpoint they are of, once it was evaluated;
+                 evaluation-fine.json those at a fidelity that was asked for
 
 Models and normalisations are pickles: open only runs that you trust.
 """
@@ -152,6 +153,12 @@ def requested_arguments(config: TrainConfig) -> dict[str, Any]:
         muscles = read_file(Path(config.muscles), lambda file: MuscleLayout.from_dict(_parse_json(file)))
     further = {} if config.environment is None else read_environment(config.environment)
     return env_arguments(config, design, muscles, further)
+
+
+def at_fidelity(name: str, fidelity: FidelityName | None) -> str:
+    """Name of a file with the fidelity that was asked for, if any, lest one score or film overwrite another."""
+    path = Path(name)
+    return name if fidelity is None else f"{path.stem}-{fidelity}{path.suffix}"
 
 
 def save_checkpoint(run: Path, steps: int, files: Mapping[str, Callable[[Path], object]]) -> None:

@@ -41,6 +41,7 @@ from agents.evaluation import (
     random_actions,
     score,
 )
+from agents.evaluation import main as evaluation_main
 from agents.outcomes import outcome_errors
 from agents.rollouts import Artefacts, evaluated, export, record
 from agents.run_folder import Run
@@ -394,13 +395,24 @@ def test_policy_of_a_coarse_worm_is_scored_on_a_finer_one(fast: Path, tmp_path: 
     coarse = evaluate(path, episodes=1)
     assert set(evaluated(Run.open(path))) == set(POLICIES.values())
     finer = evaluate(path, episodes=1, fidelity="default")
-    assert json.loads((path / "evaluation.json").read_text())["fidelity"] == "default"
-    assert set(evaluated(Run.open(path))) == {f"{title} (default)" for title in POLICIES.values()}
+    files = {name: json.loads((path / name).read_text()) for name in ("evaluation.json", "evaluation-default.json")}
+    assert [report["fidelity"] for report in files.values()] == ["fast", "default"]
+    assert set(evaluated(Run.open(path), "default")) == {f"{title} (default)" for title in POLICIES.values()}
+    assert set(evaluated(Run.open(path))) == set(POLICIES.values())
     assert finer["gait"].return_mean == pytest.approx(coarse["gait"].return_mean, rel=0.1)
     assert finer["gait"].return_mean != coarse["gait"].return_mean
-    files = export(path, "gait", fidelity="default")
-    assert files.video.name == f"gait-{EVALUATION_SEED}-default.mp4"
-    assert Trajectory.load(files.trajectory).design == LatticeDesign()
+    artefacts = export(path, "gait", fidelity="default")
+    assert artefacts.video.name == f"gait-{EVALUATION_SEED}-default.mp4"
+    assert artefacts.learning_curve.name == "learning_curve-default.png"
+    assert Trajectory.load(artefacts.trajectory).design == LatticeDesign()
+
+
+def test_table_tells_the_fidelity(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And the file, whose name has it where it was asked for."""
+    evaluation_main(copy, episodes=1)
+    assert f"over 1 episodes at fidelity default; written to {copy}/evaluation.json\n" in capsys.readouterr().out
+    evaluation_main(copy, episodes=1, fidelity="fast")
+    assert f"over 1 episodes at fidelity fast; written to {copy}/evaluation-fast.json\n" in capsys.readouterr().out
 
 
 def test_folder_from_before_fidelity_loads(copy: Path) -> None:
