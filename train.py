@@ -16,7 +16,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     config = options(TrainConfig, NAME, arguments)
     if config.resume is not None:
         config = options(TrainConfig, NAME, arguments, resume_settings(config.resume))
-    print(f"run folder: {train(config)}")
+    run = train(config)
+    print(f"run folder: {run}; score it with: python -m agents.evaluation {run}")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from lattice_gym.fidelity import FidelityName
+from lattice_gym.muscles import LAYOUTS
 
 Task = Literal["extension", "compression", "bending", "peristalsis", "reach", "crawl", "transport"]
 Control = Literal["muscle", "ring", "column"]
@@ -137,7 +138,8 @@ class TrainConfig:
     checkpoint_every: int = 10_000
     """Environment steps between two checkpoints [control steps]; written after the update that follows."""
     time_limit: float | None = None
-    """Stop training, with a checkpoint, after this much wall time [s]; none by default."""
+    """Stop training, with a checkpoint, after this much wall time [s]; none by default. What then is left of the step
+    size stays: with anneal it falls over total_steps, whatever the time."""
     torch_threads: int = 1
     """Threads of the learner, which works while the worms wait."""
     run_dir: Path | None = None
@@ -167,13 +169,15 @@ class TrainConfig:
         if not isinstance(sizes, tuple) or not sizes or not all(_is_number(n, _WIDTH, True) for n in sizes):
             raise InputError(f"hidden_sizes = {sizes!r}: must be a tuple of whole numbers in {_WIDTH}")
         if self.n_envs * self.n_steps % self.batch_size:
-            samples = self.n_envs * self.n_steps
-            raise InputError(f"batch_size = {self.batch_size}: must divide n_envs * n_steps = {samples}; set all")
+            samples = f"{self.n_envs} * {self.n_steps} = {self.n_envs * self.n_steps}"
+            raise InputError(
+                f"batch_size = {self.batch_size}: must divide n_envs * n_steps = {samples}; change one of the three"
+            )
         for name in ("design", "environment", "run_dir", "resume"):
             if not isinstance(getattr(self, name), Path | None):
                 raise InputError(f"{name} = {getattr(self, name)!r}: must be a path")
-        if not isinstance(self.muscles, str | None):
-            raise InputError(f"muscles = {self.muscles!r}: must be the name of a layout or of a JSON file")
+        if self.muscles is not None and not (isinstance(self.muscles, str) and _is_layout(self.muscles)):
+            raise InputError(f"muscles = {self.muscles!r}: must be one of {', '.join(LAYOUTS)}, or a file *.json")
 
     @property
     def driven(self) -> Control:
@@ -206,6 +210,10 @@ class TrainConfig:
         if isinstance(settings.get("hidden_sizes"), list):
             settings["hidden_sizes"] = tuple(settings["hidden_sizes"])
         return cls(**settings)
+
+
+def _is_layout(muscles: str) -> bool:
+    return muscles in LAYOUTS or muscles.endswith(".json")
 
 
 def _is_number(value: object, interval: str, whole: bool) -> bool:

@@ -74,6 +74,7 @@ def test_within_agrees_with_comparisons(value: float, low: float, high: float) -
         ("design", "worm.json"),
         ("environment", {}),
         ("muscles", 3),
+        ("muscles", "vertical"),
     ],
 )
 def test_bad_settings_name_field_and_value(field: str, value: Any) -> None:
@@ -116,6 +117,22 @@ def test_settings_from_anything_are_sound_or_refused(values: dict[str, Any]) -> 
     assert refused is None or refused in values or (refused == "batch_size" and {"n_envs", "n_steps"} & values.keys())
 
 
+def test_errors_say_what_to_change() -> None:
+    """In terms of the options of the command line."""
+    with pytest.raises(InputError, match=r"^batch_size = 100: must divide n_envs \* n_steps = 3 \* 128 = 384; change"):
+        TrainConfig(n_envs=3, batch_size=100)
+    with pytest.raises(InputError, match=r"^muscles = 'vertical': must be one of extension, .*, or a file \*\.json$"):
+        TrainConfig(muscles="vertical")
+
+
+def test_training_ends_with_what_comes_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command that scores the policy, in one line."""
+    run = tmp_path / "run"
+    sizes = ["--n-envs", "1", "--n-steps", "40", "--batch-size", "40", "--total-steps", "40"]
+    train_main(["--task", "extension", "--run-dir", str(run), *sizes])
+    assert capsys.readouterr().out.endswith(f"\nrun folder: {run}; score it with: python -m agents.evaluation {run}\n")
+
+
 def test_bending_is_not_driven_by_rings() -> None:
     """Rings that contract alike all around cannot bend a worm."""
     assert TrainConfig(task="bending").driven == "column"
@@ -140,6 +157,7 @@ def test_every_setting_has_a_docstring_on_the_command_line() -> None:
     ).stdout
     for field in fields(TrainConfig):
         assert f"--{field.name.replace('_', '-')}" in text
+    assert "with anneal it falls over total_steps" in " ".join(re.sub(r"[│|]", "", text).split())
     assert "[Hz]" in text
     assert "[s]" in text
 
