@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -62,6 +62,8 @@ class Score:
     outcome_mean: dict[str, float]
     outcome_std: dict[str, float]
     diverged_episodes: int
+    by_command: dict[str, Score] = field(default_factory=dict)
+    """The episodes of each command, where commands are drawn from a few: a mean over all would hide one that fails."""
 
     @property
     def return_mean(self) -> float:
@@ -72,6 +74,21 @@ class Score:
     def return_std(self) -> float:
         """Standard deviation of the return over episodes."""
         return float(np.std(self.returns))
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-safe values, mean and standard deviation of the return included."""
+        parts = {command: part.to_dict() for command, part in self.by_command.items()}
+        return vars(self) | {"return_mean": self.return_mean, "return_std": self.return_std, "by_command": parts}
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What one episode came to; `command` holds only those of the commanded numbers that are drawn from a few."""
+
+    command: Mapping[str, float]
+    gain: float
+    outcome: Mapping[str, float]
+    diverged: bool
 
 
 def make_policy(name: PolicyName, run: Run, env: Env) -> Start:
@@ -136,23 +153,34 @@ def play(env: Env, start: Start, seed: int) -> Iterator[Step]:
 
 def score(env: Env, start: Start, seeds: range, progress: Callable[[str], object] = lambda _line: None) -> Score:
     """Play one episode a seed; `progress` is called with a line of text at every step."""
-    returns: list[float] = []
-    outcomes: list[dict[str, float]] = []
-    diverged = 0
+    few = cast(Any, env.unwrapped).task.among
+    episodes: list[Episode] = []
     for seed in seeds:
         steps: list[Step] = []
         for step in play(env, start, seed):
-            progress(f"episode {len(returns) + 1} of {len(seeds)}, step {len(steps)}")
+            progress(f"episode {len(episodes) + 1} of {len(seeds)}, step {len(steps)}")
             steps.append(step)
-        returns.append(sum(step.reward for step in steps))
-        outcomes.append(steps[-1].info["outcome_errors"])
-        diverged += steps[-1].info["status"] != "ok"
-    table = gathered(outcomes)
+        command = {name: value for name, value in steps[0].info["command"].items() if name in few}
+        last = steps[-1].info
+        gain = sum(step.reward for step in steps)
+        episodes.append(Episode(command, gain, last["outcome_errors"], last["status"] != "ok"))
+    return summary(episodes)
+
+
+def summary(episodes: Sequence[Episode]) -> Score:
+    """Score of the episodes, and of those of each command if there are several."""
+    table = gathered([episode.outcome for episode in episodes])
+    commands = sorted({tuple(episode.command.items()) for episode in episodes})
+    by_command: dict[str, Score] = {}
+    for command in commands if len(commands) > 1 else ():
+        title = ", ".join(f"{name} {value:.12g}" for name, value in command)
+        by_command[title] = summary([episode for episode in episodes if tuple(episode.command.items()) == command])
     return Score(
-        tuple(returns),
+        tuple(episode.gain for episode in episodes),
         {name: float(np.mean(values)) for name, values in table.items()},
         {name: float(np.std(values)) for name, values in table.items()},
-        diverged,
+        sum(episode.diverged for episode in episodes),
+        by_command,
     )
 
 
@@ -193,24 +221,25 @@ def evaluate(
         "fidelity": run.fidelity,
         "steps": int(checkpoint.name),
         "seeds": list(seeds),
-        "policies": {
-            name: asdict(result) | {"return_mean": result.return_mean, "return_std": result.return_std}
-            for name, result in scores.items()
-        },
+        "policies": {name: result.to_dict() for name, result in scores.items()},
     }
     run_folder.write_json(path / run_folder.at_fidelity(run_folder.EVALUATION, fidelity), report)
     return scores
 
 
 def format_scores(scores: Mapping[PolicyName, Score]) -> str:
-    """Scores as a plain text table, mean +- standard deviation over episodes; "-" where no episode has a value."""
+    """Scores as a plain text table, mean +- standard deviation over episodes; "-" where no episode has a value.
+
+    Below a policy stand its rows by command, where commands are drawn from a few.
+    """
     outcomes = list(dict.fromkeys(name for result in scores.values() for name in result.outcome_mean))
     rows = [["", "return", *outcomes, "diverged"]]
     for name, result in scores.items():
-        mean, std = result.outcome_mean, result.outcome_std
-        cells = [f"{mean[o]:.3f} +- {std[o]:.3f}" if o in mean else "-" for o in outcomes]
-        gain = f"{result.return_mean:.3f} +- {result.return_std:.3f}"
-        rows.append([POLICIES[name], gain, *cells, f"{result.diverged_episodes} of {len(result.returns)}"])
+        for title, part in {POLICIES[name]: result, **result.by_command}.items():
+            mean, std = part.outcome_mean, part.outcome_std
+            cells = [f"{mean[o]:.3f} +- {std[o]:.3f}" if o in mean else "-" for o in outcomes]
+            gain = f"{part.return_mean:.3f} +- {part.return_std:.3f}"
+            rows.append([title, gain, *cells, f"{part.diverged_episodes} of {len(part.returns)}"])
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
 

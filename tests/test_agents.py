@@ -579,11 +579,35 @@ def test_evaluation_report(copy: Path) -> None:
     assert abs(scores["nothing"].return_mean) < 1e-6
     assert scores["gait"].return_mean > scores["random"].return_mean > 1.0
     assert scores["gait"].outcome_mean["strain"] == pytest.approx(0.31, abs=0.02)
+    assert not any(result.by_command for result in scores.values())
     assert evaluate(copy, episodes=2, seed=50) == scores
     assert (Run.open(copy).newest / "vecnormalize.pkl").read_bytes() == normaliser
     text = format_scores(scores)
     assert len({len(line) for line in text.splitlines()}) == 1
     assert f"{scores['policy'].return_mean:.3f} +- {scores['policy'].return_std:.3f}" in text
+
+
+def test_commands_drawn_from_a_few_are_scored_apart(tmp_path: Path) -> None:
+    """A mean over both directions would hide that one fails."""
+    path = train(replace(TINY, task="crawl", fidelity="fast", total_steps=80, run_dir=tmp_path / "run"))
+    scores = evaluate(path, episodes=4)
+    env = make_env(Run.open(path).env_arguments)
+    drawn = [env.reset(seed=EVALUATION_SEED + episode)[1]["command"]["direction"] for episode in range(4)]
+    assert set(drawn) == {-1.0, 1.0}
+    told = iter(format_scores(scores).splitlines()[1:])
+    report = json.loads((path / "evaluation.json").read_text())["policies"]
+    for name, result in scores.items():
+        assert POLICIES[name] in next(told)
+        assert list(result.by_command) == ["direction -1", "direction 1"]
+        for direction, part in zip((-1.0, 1.0), result.by_command.values(), strict=True):
+            own = [gain for gain, way in zip(result.returns, drawn, strict=True) if way == direction]
+            assert list(part.returns) == own
+            row = next(told)
+            assert f"direction {direction:g}  " in row
+            assert row.endswith(f"{part.diverged_episodes} of {len(own)}")
+            stored = report[name]["by_command"][f"direction {direction:g}"]
+            assert (stored["returns"], stored["return_mean"]) == (own, part.return_mean)
+            assert stored["outcome_mean"] == part.outcome_mean
 
 
 def test_normalisation_matters_and_is_the_runs_own(finished: Path) -> None:
