@@ -138,8 +138,7 @@ class TrainConfig:
     checkpoint_every: int = 10_000
     """Environment steps between two checkpoints [control steps]; written after the update that follows."""
     time_limit: float | None = None
-    """Stop training, with a checkpoint, after this much wall time [s]; none by default. What then is left of the step
-    size stays: with anneal it falls over total_steps, whatever the time."""
+    """Stop after this much wall time [s], with a checkpoint, but not annealed: anneal goes by total_steps alone."""
     torch_threads: int = 1
     """Threads of the learner, which works while the worms wait."""
     run_dir: Path | None = None

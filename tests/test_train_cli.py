@@ -157,7 +157,7 @@ def test_every_setting_has_a_docstring_on_the_command_line() -> None:
     ).stdout
     for field in fields(TrainConfig):
         assert f"--{field.name.replace('_', '-')}" in text
-    assert "with anneal it falls over total_steps" in " ".join(re.sub(r"[│|]", "", text).split())
+    assert "but not annealed: anneal goes by total_steps alone" in " ".join(re.sub(r"[│|]", "", text).split())
     assert "[Hz]" in text
     assert "[s]" in text
 
