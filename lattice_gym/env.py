@@ -37,6 +37,9 @@ DIVISION_TOLERANCE = 1e-9
 """A control step is a whole number of physics steps if that many differ from it by no more than this share."""
 SETTLING_SPAN, LONGEST_SETTLING = 0.5, 30.0
 """How often, while worm and ball settle, it is looked whether they are at rest; when that ends at the latest [s]."""
+SETTLING_DRAG = 0.05
+"""Largest drag of a medium while worm and ball settle [N s/m^2]: more holds up a worm that rolls over, and where all
+comes to rest it is the same."""
 QUIET, AT_REST = 1e-4, 1e-3
 """Largest speed of a node or ball at which settling ends, and at which an episode may start at all [heights / s].
 
@@ -65,10 +68,11 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | "crawl" | `LatticeWormCrawl-v0` | a way over the ground, along +x or -x | "all" | 200 steps |
     | "transport" | `LatticeWormTransport-v0` | a ball inside carried up or down | "all" | 200 steps |
 
-    The crawling worm is free, lies along x in a medium of 1000 kg/m^3 on a ground with friction (`World`), and has a
-    tenth of the default damping, 0.003 N s/m per node: that resists all motion, and would outdo friction. Transport has
-    muscles of 1 N and, between the two rings halfway up, a ball of friction 0.1, as dense as the medium, of a radius
-    9 % larger than the room that the ring muscles leave: 30 mm by default.
+    The crawling worm is free, lies along x in water on a ground with friction (`World`), and has a tenth of the default
+    damping, 0.003 N s/m per node: that resists all motion, and would outdo friction. The water has a drag of 1 N s/m^2,
+    that of a rod at 0.13 m/s: without it the worm, nearly weightless, hops sooner than it crawls. Transport has muscles
+    of 1 N and, between the two rings halfway up, a ball of friction 0.1, as dense as the medium, of a radius 9 % larger
+    than the room that the ring muscles leave: 30 mm by default.
 
     ## Action space
 
@@ -158,10 +162,11 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     At rest, free of stress, activations 0, strengths 1 unless an `adaptation` carries them. In crawl and transport worm
     and ball came to rest first, with slack muscles, and displacements count from there: until none of their points was
-    faster than 0.0001 heights a second, for 30 s at most. What is then faster than 0.001, or has left the body, is a
-    ValueError. In other tasks a worm with weight sags from the start, and that counts. Only the command is random,
-    uniform over the ranges below. Numbers given as `command` are held in every episode, those in `reset(options={...})`
-    in that one; the options win. Of a list in place of a number, one is drawn for each episode.
+    faster than 0.0001 heights a second, for 30 s at most, in a medium of at most 0.05 N s/m^2, as drag only delays it
+    there. What is then faster than 0.001, or has left the body, is a ValueError. In other tasks a worm with weight sags
+    from the start, and that counts. Only the command is random, uniform over the ranges below. Numbers given as
+    `command` are held in every episode, those in `reset(options={...})` in that one; the options win. Of a list in
+    place of a number, one is drawn for each episode.
 
     | task | name | drawn from | may be given |
     |---|---|---|---|
@@ -529,9 +534,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         state = self.model.rest_state()
         if not self.task.settles:
             return state
+        body = replace(self.model, medium_drag=min(self.model.medium_drag, SETTLING_DRAG))
         # Slack muscles damp nothing, whatever their law, and need no shorter step for it.
-        step = default_dt(replace(self.model, hill=None), SETTLING_SPAN, self.design.max_tension)
-        engine, start, now, speed = make_engine("fused", self.model, step), state, state, np.inf
+        step = default_dt(replace(body, hill=None), SETTLING_SPAN, self.design.max_tension)
+        engine, start, now, speed = make_engine("fused", body, step), state, state, np.inf
         for _ in range(round(LONGEST_SETTLING / SETTLING_SPAN)):
             health, before = engine.advance(np.zeros(self.model.n_muscle), round(SETTLING_SPAN / step)), now
             if not health.ok:

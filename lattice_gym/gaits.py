@@ -28,7 +28,7 @@ LEAST, MOST = 1e-9, 1e9
 """Sizes that the numbers of a gait lie between, wide enough for any body in SI units; some may also be 0."""
 
 CRAWL_FREQUENCY, CRAWL_WAVELENGTH = 1.0, 1.0
-"""Of the crawling wave [Hz], [heights]: the best of wavelengths from 0.6 to 2; up to 3 Hz faster is faster."""
+"""Of the crawling wave [Hz], [heights]: the best of wavelengths from 0.6 to 2; at 2 Hz it is a quarter faster."""
 CARRY_FREQUENCY, CARRY_WAVELENGTH, CARRY_VERTICAL_SHARE = 0.2, 0.5, 0.5
 """Of the carrying wave [Hz], [heights]: what it holds rides it, at a tenth of a height a second."""
 CARRY_START = 0.565
