@@ -399,7 +399,7 @@ def test_doing_nothing_earns_nothing_once_settled(task: str, fidelity: FidelityN
 
 @pytest.mark.parametrize("drag", [0.0, 1.0, 100.0])
 def test_drag_holds_up_no_settling(drag: float) -> None:
-    """A worm of few elements rolls over as it comes to rest: it must have done so, however slowly the medium lets it."""
+    """A worm of few elements rolls over as it comes to rest: it has done so, however slowly the medium would let it."""
     env = LatticeWormEnv("crawl", fidelity="fast", control="ring", world={"medium": {"drag": drag}})
     env.reset(seed=0)
     start = env.state.position
