@@ -233,6 +233,19 @@ def test_ball_is_where_it_is_said_to_be(lattice: Lattice, model: RodModel) -> No
             render_frame(lattice, wrong, x, size=SIZE, bolus=centre)
 
 
+def test_nothing_hides_a_ball(lattice: Lattice) -> None:
+    """It shines through the rods, and where it comes out at the base there is a hole in the plate."""
+    world = World(bolus=Bolus(radius=0.03, level=2.0))
+    ball = build_model(lattice, named_layout("all", lattice), world)
+    x = rest_of(ball)
+    with Renderer(lattice, ball, (320, 240)) as renderer:
+        for height in (0.05, -0.01):
+            pictures = [renderer.update(x, bolus=[[0.0, 0.0, z]]).astype(int) for z in (height, 1e3)]
+            changed = (np.abs(pictures[0] - pictures[1]).sum(axis=2) > 20).sum()
+            disc = np.pi * (0.03 * renderer.pixels_per_metre) ** 2
+            assert changed == pytest.approx(disc, rel=0.1)
+
+
 def green(picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
     """Where a picture shows markers."""
     red, middle, blue = picture.astype(int).transpose(2, 0, 1)
@@ -244,7 +257,7 @@ def test_markers_are_where_they_are_asked_for(lattice: Lattice, model: RodModel)
     x = rest_of(model)
     seen = []
     with Renderer(lattice, model, (320, 240), n_marker=2) as renderer:
-        for height in (0.05, 0.1):
+        for height in (0.03, 0.08):
             picture = renderer.update(x, markers=[[0.0, 0.0, height]] * 2)
             seen.append(green(picture))
         with pytest.raises(ValueError, match=r"^markers has shape \(1, 3\): must have \(2, 3\)"):
@@ -258,6 +271,19 @@ def test_markers_are_where_they_are_asked_for(lattice: Lattice, model: RodModel)
     for wrong in (1.0, [0.0, 0.0, 0.1], [[0.0, 0.1]]):
         with pytest.raises(ValueError, match=r"^markers has shape"):
             render_frame(lattice, model, x, size=SIZE, markers=wrong)
+
+
+def test_the_top_is_shown_where_markers_are(lattice: Lattice, model: RodModel) -> None:
+    """Its centre, which is to go there, moves with the body, and shows on the marker that it has reached."""
+    seen = []
+    with Renderer(lattice, model, (320, 240), n_marker=1) as renderer:
+        for rise in (0.0, 0.04):
+            moved = rest_of(model) + np.array([0.0, 0.0, rise])
+            picture = renderer.update(moved, markers=[[0.0, 0.0, 0.1]]).astype(int)
+            seen.append(np.argwhere(picture[:, :250].max(axis=2)[60:] < 60))
+            middle = np.argwhere(green(picture.astype(np.uint8))).mean(axis=0) - [60.0, 0.0]
+            assert (np.abs(seen[-1].mean(axis=0) - middle) < 2.0).all() == (rise == 0.0)
+    assert seen[0].mean(axis=0)[0] - seen[1].mean(axis=0)[0] > 20.0
 
 
 def test_wrong_arguments_are_refused(lattice: Lattice, model: RodModel) -> None:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from lattice_gym.design import FloatArray
 from lattice_gym.lattice import Lattice
+from lattice_gym.measures import top_centre
 from lattice_gym.model import RodModel, straight_rod
 from lattice_gym.rendering import colours
 from lattice_gym.rendering.colours import activation_colour, rgb
@@ -30,8 +31,10 @@ ROD_SCALE, MUSCLE_SCALE, SITE_SCALE = 0.42, 0.56, 0.56
 ROD_PIECES, MUSCLE_PIECES, TAPER = 32, 8, 0.45
 # Corners around a bolus, or a marker.
 BOLUS_CORNERS = 48
-# Radius of a marker, in diameters of the worm, and how far it comes forward, in units of depth: before all else.
-MARKER_RADIUS, MARKER_FORWARD = 0.06, -1e6
+# Radii of a marker and of the top's centre beside it, in diameters of the worm.
+MARKER_RADIUS, TOP_RADIUS = 0.06, 0.035
+# How far what nothing hides comes forward, in units of depth, and how strongly a bolus shows through what is before it.
+FORWARD, BOLUS_GLOW = -1e6, 0.45
 # Elements that a muscle without nodes is drawn with.
 LINE_ELEMENTS = 2
 # What lies furthest back is paled by this share, as by haze.
@@ -69,6 +72,12 @@ def _plotter(size: list[int]) -> Any:
     for place, intensity in LIGHTS:
         plotter.add_light(pyvista.Light(position=place, light_type="camera light", intensity=intensity))
     return plotter
+
+
+def _bring_forward(actor: Any, share: float = 1.0) -> None:
+    """Draw an actor before what would hide it; of two, that of the larger share."""
+    actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
+    actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, share * FORWARD)
 
 
 def _has_osmesa() -> bool:
@@ -134,7 +143,8 @@ class Renderer:
         Points that every picture shows [m], shape (n, 3); by default the worm at rest and 60 % taller, or, if it
         lies, up to its height further along x either way.
     n_marker
-        Number of places that each picture marks with a small ball, which nothing hides.
+        Number of places for the top's centre to go to, which each picture marks with small balls, and itself with a
+        smaller one; nothing hides them.
     bare
         The worm fills the picture, with neither colour bar nor text.
     fine
@@ -173,14 +183,20 @@ class Renderer:
         self._lines = Tubes(lines, range(lines.n_rod), MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if lines else None
         self._bolus = Balls(1, model.bolus.radius, BOLUS_CORNERS) if model.bolus else None
         self._markers = Balls(n_marker, MARKER_RADIUS * lattice.design.diameter, BOLUS_CORNERS) if n_marker else None
-        self._n_marker = n_marker
+        self._top = Balls(1, TOP_RADIUS * lattice.design.diameter, BOLUS_CORNERS) if n_marker else None
+        self._n_marker, self._lattice = n_marker, lattice
         self._site_nodes = lattice.site_nodes
         for part in self._parts():
             actor = self._plotter.add_mesh(part.mesh, scalars="colour", rgb=True, smooth_shading=False, **MATERIAL)
             actor.prop.interpolation = "Phong"
-            if part is self._markers:
-                actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
-                actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, MARKER_FORWARD)
+            if part in (self._markers, self._top):
+                _bring_forward(actor, 2.0 if part is self._top else 1.0)
+        if self._bolus:
+            glow = self._plotter.add_mesh(
+                self._bolus.mesh, scalars="colour", rgb=True, opacity=BOLUS_GLOW, culling="back", **MATERIAL
+            )
+            glow.prop.interpolation = "Phong"
+            _bring_forward(glow)
         self._bare, self._colour_bar = bare, model.n_muscle > 0 and not bare
         if self._colour_bar:
             self._write("activation", 0.5 * (BAR[0] + BAR[1]), BAR[3] + 0.03, 0.03, ("center", "bottom"))
@@ -189,7 +205,7 @@ class Renderer:
         self._time = self._write("", 0.03, 0.965, 0.036, ("left", "top"))
         self._line = self._write("", 0.03, 0.915, LINE_HEIGHT, ("left", "top"))
         if lattice.design.base == "clamped":
-            shown = np.concatenate([shown, self._add_plate(lattice.design.diameter)])
+            shown = np.concatenate([shown, self._add_plate(lattice, model)])
         elif model.ground is not None:
             shown = np.concatenate([shown, self._add_ground(shown, lattice.design.diameter)])
         self._aim(shown)
@@ -236,6 +252,9 @@ class Renderer:
         if self._markers:
             self._markers.update(marked)
             self._paint(self._markers.mesh, rgb(colours.MARKER), haze=0.0)
+        if self._top:
+            self._top.update(top_centre(self._lattice, x)[None])
+            self._paint(self._top.mesh, rgb(colours.TOP), haze=0.0)
         if not self._bare:
             self._time.input = "" if time is None else f"t = {time:.2f} s"
             # A letter is about half as wide as it is high.
@@ -255,7 +274,7 @@ class Renderer:
         self.close()
 
     def _parts(self) -> list[Tubes | Balls]:
-        parts = self._rods, self._balls, self._muscles, self._lines, self._bolus, self._markers
+        parts = self._rods, self._balls, self._muscles, self._lines, self._bolus, self._markers, self._top
         return [part for part in parts if part]
 
     def _write(self, text: str, x: float, y: float, size: float, justified: tuple[str, str]) -> Any:
@@ -268,15 +287,23 @@ class Renderer:
         self._plotter.add_actor(actor)
         return actor
 
-    def _add_plate(self, diameter: float) -> FloatArray:
-        """Add the base that a clamped worm stands on; its points, shape (n, 3) [m]."""
+    def _add_plate(self, lattice: Lattice, model: RodModel) -> FloatArray:
+        """Add the base that a clamped worm stands on; the points to show of it, shape (n, 3) [m].
+
+        With a bolus it is a ring: whatever comes out of the lattice goes through it, and is shown below it.
+        """
+        diameter, pyvista = lattice.design.diameter, extra("pyvista")
         radius, depth = PLATE_RADIUS * diameter, PLATE_DEPTH * diameter
-        centre = (0.0, 0.0, -0.5 * depth)
-        plate = extra("pyvista").Cylinder(
-            center=centre, direction=(0, 0, 1), radius=radius, height=depth, resolution=128
-        )
+        place: dict[str, Any] = {"center": (0.0, 0.0, -0.5 * depth), "direction": (0, 0, 1), "height": depth}
+        below = np.empty((0, 3))
+        if model.bolus is None:
+            plate = pyvista.Cylinder(radius=radius, resolution=128, **place)
+        else:
+            hole = 0.5 * diameter - lattice.design.structure_radius
+            plate = pyvista.CylinderStructured(radius=[hole, radius], theta_resolution=128, z_resolution=2, **place)
+            below = np.array([[0.0, 0.0, -1.25 * model.bolus.radius]])
         self._plotter.add_mesh(plate, color=colours.PLATE, ambient=0.6, diffuse=0.45, specular=0.0)
-        return np.asarray(plate.points, dtype=np.float64)
+        return np.concatenate([np.asarray(plate.points, dtype=np.float64), below])
 
     def _add_ground(self, points: FloatArray, diameter: float) -> FloatArray:
         """Add a slab of the ground under what is shown; its points, shape (n, 3) [m]."""

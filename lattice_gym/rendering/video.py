@@ -53,6 +53,9 @@ def render_video(
     model, bolus = build_model(lattice, trajectory.layout, trajectory.world), trajectory.bolus
     marked = np.empty((0, 3)) if trajectory.markers is None else trajectory.markers
     view = np.concatenate([trajectory.position.reshape(-1, 3), marked])
+    if model.bolus is not None and bolus is not None:
+        centre, radius = bolus.reshape(-1, 3), model.bolus.radius
+        view = np.concatenate([view, centre - radius, centre + radius])
     note = "" if speed == 1.0 else f"   [{speed:g} x real time]"
     sink = _gif if animated else _mp4
     with (
