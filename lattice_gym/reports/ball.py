@@ -200,7 +200,7 @@ BALL_CASES = (
     Case(
         name="ball_hits_rod",
         title="Momentum, ball that hits a rod",
-        quantity="change of momentum and of angular momentum / radius, over the start",
+        quantity="change of both momenta over the start",
         abscissa="t [ms]",
         exact="0",
         source="Newton's third law",
