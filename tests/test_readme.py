@@ -31,6 +31,13 @@ def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert getattr(names["picture"], "shape", None) == (480, 640, 3)
 
 
+def test_the_gait_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    """The block with the hand-made gait, after the imports of the first one, comes to an outcome."""
+    block = next(text for text in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "lattice_gym.gait(" in text)
+    exec(block, {"gymnasium": gymnasium, "lattice_gym": lattice_gym})
+    assert "'speed': " in capsys.readouterr().out
+
+
 def test_named_ids_and_names_exist() -> None:
     """Every id is registered, every name of the text is exported."""
     for name in set(re.findall(r"LatticeWorm\w*-v\d", README)):
