@@ -676,9 +676,9 @@ class Reach(GoalTask):
 class Crawl(Task):
     """Crawl along +x or -x on the ground: the reward is the way the centre of mass went along the commanded direction.
 
-    A free worm lies along x, in water, which is nearly as dense as it is, and moves only by friction. Its rods are damped a
-    tenth as much as the default design's: that damping resists every motion, 23 N s/m in all, and at a centimetre a
-    second takes more than the 0.13 N that friction can give.
+    A free worm lies along x, in water, which is nearly as dense as it is, and moves only by friction. Its rods are
+    damped a tenth as much as the default design's: that damping resists every motion, 23 N s/m in all, and at a
+    centimetre a second takes more than the 0.13 N that friction can give.
     """
 
     name = "crawl"
@@ -698,8 +698,8 @@ class Crawl(Task):
 
         Across a flow of speed v a cylinder of diameter D has the drag Cd rho D v^2 / 2 per length, with Cd about 1.5 at
         the Reynolds numbers here: 7.5 v N s/m^2 per speed for the 10 mm of a rod. `Medium` is linear, and has that of
-        about 0.13 m/s. Without it the nearly weightless worm can hop, and trembling at the control rate goes further than
-        crawling.
+        about 0.13 m/s. Without it the nearly weightless worm can hop, and goes further by trembling at the control rate
+        than by crawling.
         """
         return World(medium=Medium(drag=1.0), ground=Ground(), lying=True)
 
