@@ -229,9 +229,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     | `fidelity` | elements per segment | `splitting` | error of strain, bend, rings | return | cost |
     |---|---|---|---|---|---|
-    | "fast" | at most 2 | "symmetric" | 4 %, 4 %, 9 % | -2.3 % (-3.6 %) | 8 ms |
-    | "default" | the design's (here 5) | "symmetric" | 1.3 %, 1.7 %, 3.1 % | -0.6 % (-0.9 %) | 30 ms |
-    | "fine" | at least 16 | "symmetric" | 0.4 %, 0.5 %, 0.9 % | 0 | 200 ms |
+    | "fast" | at most 2 | "symmetric" | 4 %, 4 %, 9 % | -2.3 % (-3.6 %) | 6 ms |
+    | "default" | the design's (here 5) | "symmetric" | 1.3 %, 1.7 %, 3.1 % | -0.6 % (-0.9 %) | 20 ms |
+    | "fine" | at least 16 | "symmetric" | 0.4 %, 0.5 %, 0.9 % | 0 | 100 ms |
 
     Errors are the largest at any time, over the largest change, against vanishing elements. Of them the time step makes
     0.01 % or less with "symmetric". The return is that of a hand-made gait over an episode, against "fine": mean over
