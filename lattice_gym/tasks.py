@@ -443,18 +443,6 @@ class Peristalsis(Task):
     TYPICAL_AMPLITUDE: ClassVar[float] = 0.055
     """Scale of the observed amplitude."""
 
-    def __init__(
-        self,
-        lattice: Lattice,
-        control_dt: float,
-        command: Given | None = None,
-        model: RodModel | None = None,
-        n_worm: int = 1,
-    ) -> None:
-        super().__init__(lattice, control_dt, command, model, n_worm)
-        self.memory["record"] = np.zeros((n_worm, 1, len(self.height)))
-        self._window = np.ones(n_worm, dtype=np.int64)
-
     def _prepare(self) -> None:
         lattice = self.lattice
         first = 1 if lattice.design.base == "clamped" else 0
@@ -466,6 +454,7 @@ class Peristalsis(Task):
         self.height = lattice.level_height[first:]
         self.rest_radius = ring_radii(lattice, lattice.position.reshape(-1, 3))
         self.first = first
+        self._window = np.ones(self.n_worm, dtype=np.int64)
 
     def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None, worm: int = 0) -> None:
         """Start an episode of a worm: draw its command and forget what was recorded of it."""
@@ -480,7 +469,7 @@ class Peristalsis(Task):
             self.memory["record"] = np.concatenate([record, room], axis=1)
 
     def _blank(self) -> dict[str, FloatArray]:
-        return {"steps": np.zeros(())}
+        return {"steps": np.zeros(()), "record": np.zeros((1, len(self.height)))}
 
     def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Cosine and sine of the wave's phase at the base; speed, wavelength and amplitude over what is typical."""

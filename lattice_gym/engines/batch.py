@@ -293,10 +293,15 @@ def _alike(models: Sequence[RodModel]) -> list[RodModel]:
     return list(models)
 
 
+def available_cores() -> int:
+    """Count the cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _thread_count(num_threads: int | None) -> int:
     """Threads to use at most, or a ValueError."""
     if num_threads is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return available_cores()
     count = whole_number(num_threads)
     if count is None or count < 1:
         raise ValueError(f"num_threads = {shown(num_threads)}: must be a whole number, at least 1, or None")

@@ -343,6 +343,12 @@ class _SelfContact(NoForces[CosseratRod]):
         self.lost += float(np.sum((spring - push) * rate))
 
 
+def _clear(body: CosseratRod | Sphere) -> None:
+    """Set what a step leaves behind to zero: PyElastica does so by multiplication, which keeps what is not finite."""
+    for left_over in (body.acceleration_collection, body.alpha_collection, body.external_forces, body.external_torques):
+        left_over[:] = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class _Footing:
     """What the ground does to the nodes of one rod in a step: written by its two parts, one before and one after.
@@ -587,25 +593,12 @@ class PyElasticaEngine(Engine):
             rod.velocity_collection[:] = state.velocity[nodes].T
             rod.director_collection[:] = np.moveaxis(state.directors[elements], 0, -1)
             rod.omega_collection[:] = state.omega[elements].T
-            # PyElastica clears these by multiplication, which keeps what is not finite.
-            for left_over in (
-                rod.acceleration_collection,
-                rod.alpha_collection,
-                rod.external_forces,
-                rod.external_torques,
-            ):
-                left_over[:] = 0.0
+            _clear(rod)
         if (ball := self._ball) is not None:
             ball.position_collection[:] = state.bolus_position.T
             ball.velocity_collection[:] = state.bolus_velocity.T
             ball.omega_collection[:] = state.bolus_omega.T
-            for left_over in (
-                ball.acceleration_collection,
-                ball.alpha_collection,
-                ball.external_forces,
-                ball.external_torques,
-            ):
-                left_over[:] = 0.0
+            _clear(ball)
         self._time = state.time
 
     def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -11,6 +10,7 @@ import numpy as np
 
 from lattice_gym.design import FloatArray, LatticeDesign
 from lattice_gym.engines import kernels, make_engine
+from lattice_gym.engines.fused import n_record
 from lattice_gym.lattice import build_lattice
 from lattice_gym.model import RodModel, build_model
 from lattice_gym.muscles import MuscleLayout, named_layout
@@ -81,10 +81,7 @@ def fit(count: Sequence[float], cost: Sequence[float]) -> Line:
 
 def record_bytes(model: RodModel) -> int:
     """Size of the records of a model [bytes]: rods of one length share blocks of lanes, muscles apart from others."""
-    muscles = set(model.muscles)
-    rods = Counter((index in muscles, rod.n_elem) for index, rod in enumerate(model.rods))
-    n_cell = sum(-(-count // kernels.LANES) * (n_elem + 1) for (_, n_elem), count in rods.items())
-    return int(kernels.CELL.itemsize) * n_cell
+    return int(kernels.CELL.itemsize) * n_record(model, 1)
 
 
 def _worm(design: LatticeDesign, n_muscle: int | None = None) -> RodModel:

@@ -5,7 +5,6 @@ One worm is timed by the processor time of its thread, batches by the clock on t
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from gymnasium.vector import VectorEnv
 
 from lattice_gym.design import FloatArray, IntArray
 from lattice_gym.engines import Engine, EngineName, make_engine
-from lattice_gym.engines.batch import BatchEngine
+from lattice_gym.engines.batch import BatchEngine, available_cores
 from lattice_gym.reports.engines import BENCHMARK_DT, ENGINES, benchmark_model
 from lattice_gym.reports.plain_pyelastica import PlainPyElastica
 from lattice_gym.reports.precision_study import Progress
@@ -114,7 +113,7 @@ class Batches:
 def thread_counts(cores: int | None = None) -> list[int]:
     """Powers of two up to the number of cores (default: those for this process), and that number."""
     if cores is None:
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        cores = available_cores()
     return sorted({2**k for k in range(cores.bit_length()) if 2**k <= cores} | {cores})
 
 
