@@ -25,7 +25,7 @@ from agents.config import InputError, TrainConfig
 from agents.environments import Env, make_env, make_vector_env
 from agents.training import new_model
 from lattice_gym.engines.batch import BatchEngine
-from lattice_gym.reports.provenance import footer
+from lattice_gym.recording.provenance import footer
 
 PARTS = ("physics", "environment", "adapter", "policy", "update")
 """What PPO spends its time on, each without those before it: integrating the rods; observations, rewards and whatever

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from lattice_gym.fidelity import FidelityName
-from lattice_gym.muscles import LAYOUTS
+from lattice_gym.body.muscles import LAYOUTS
+from lattice_gym.envs.fidelity import FidelityName
 
 Task = Literal["extension", "compression", "bending", "peristalsis", "reach", "crawl", "transport"]
 Control = Literal["muscle", "ring", "column"]

@@ -22,8 +22,8 @@ from agents.config import InputError
 from agents.environments import Env, make_env
 from agents.run_folder import Run
 from agents.training import gathered, load_model, load_normaliser, worm_seeds
-from lattice_gym.fidelity import FidelityName
-from lattice_gym.gaits import gait, grouped
+from lattice_gym.envs.fidelity import FidelityName
+from lattice_gym.tasks.gaits import gait, grouped
 
 PolicyName = Literal["policy", "gait", "nothing", "random"]
 POLICIES: dict[PolicyName, str] = {

@@ -16,10 +16,12 @@ from agents.config import InputError
 from agents.environments import make_env
 from agents.evaluation import EVALUATION_SEED, POLICIES, PolicyName, make_policy, play
 from agents.run_folder import Run
-from lattice_gym.env import OK
-from lattice_gym.fidelity import FidelityName
-from lattice_gym.rendering import plot_activation, render_video
-from lattice_gym.trajectory import Recorder, Trajectory, replacing
+from lattice_gym.envs.env import OK
+from lattice_gym.envs.fidelity import FidelityName
+from lattice_gym.recording.files import replacing
+from lattice_gym.recording.trajectory import Recorder, Trajectory
+from lattice_gym.rendering.figures import plot_activation
+from lattice_gym.rendering.video import render_video
 
 GIF_SIZE = (480, 360)
 ROUNDING = 1e-9

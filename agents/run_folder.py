@@ -31,14 +31,14 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from agents.config import InputError, TrainConfig
-from lattice_gym.design import LatticeDesign
-from lattice_gym.env import LatticeWormEnv
-from lattice_gym.fidelity import FidelityName
-from lattice_gym.lattice import build_lattice
-from lattice_gym.muscles import MuscleLayout, resolve_layout
-from lattice_gym.reports.provenance import PACKAGES, provenance
-from lattice_gym.tasks import TASKS
-from lattice_gym.trajectory import replacing
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import MuscleLayout, resolve_layout
+from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.envs.fidelity import FidelityName
+from lattice_gym.recording.files import replacing
+from lattice_gym.recording.provenance import PACKAGES, provenance
+from lattice_gym.tasks.registry import TASKS
 
 CONFIG = "config.json"
 VERSIONS = "versions.json"

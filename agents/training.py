@@ -25,7 +25,7 @@ from agents.command_line import LINE_EVERY, Stopped, on_signal
 from agents.config import InputError, TrainConfig
 from agents.environments import make_env, make_vector_env
 from agents.run_folder import Run, read_file
-from lattice_gym.trajectory import replacing
+from lattice_gym.recording.files import replacing
 
 _DIVERGED = "worm/diverged_episodes"
 _NEW_ONLY = ("design", "muscles", "environment", "run_dir")

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from gymnasium.envs.registration import register
 
-from lattice_gym.adaptation import Adaptation
-from lattice_gym.design import LatticeDesign
-from lattice_gym.env import LatticeWormEnv, LatticeWormGoalEnv
-from lattice_gym.gaits import gait, grouped
-from lattice_gym.hill import Hill
-from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.muscles import Muscle, MuscleLayout, horizontal, named_layout, resolve_layout, tie, vertical
-from lattice_gym.vector_env import LatticeWormGoalVectorEnv, LatticeWormVectorEnv
-from lattice_gym.world import Bolus, Contact, Ground, Medium, World
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.body.muscles import Muscle, MuscleLayout, horizontal, named_layout, resolve_layout, tie, vertical
+from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.envs.goal import LatticeWormGoalEnv
+from lattice_gym.envs.vector import LatticeWormGoalVectorEnv, LatticeWormVectorEnv
+from lattice_gym.physics.laws.adaptation import Adaptation
+from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.world import Bolus, Contact, Ground, Medium, World
+from lattice_gym.tasks.gaits import gait, grouped
 
 __all__ = [
     "Adaptation",
@@ -61,15 +62,15 @@ for _task, _limit in _TIME_LIMITS.items():
     ):
         register(
             id=f"{_name}-v0",
-            entry_point="lattice_gym.env:LatticeWormEnv",
-            vector_entry_point="lattice_gym.vector_env:LatticeWormVectorEnv",
+            entry_point="lattice_gym.envs.env:LatticeWormEnv",
+            vector_entry_point="lattice_gym.envs.vector:LatticeWormVectorEnv",
             max_episode_steps=_limit,
             kwargs={"task": _task},
         )
 register(
     id="LatticeWormReachGoal-v0",
-    entry_point="lattice_gym.env:LatticeWormGoalEnv",
-    vector_entry_point="lattice_gym.vector_env:LatticeWormGoalVectorEnv",
+    entry_point="lattice_gym.envs.goal:LatticeWormGoalEnv",
+    vector_entry_point="lattice_gym.envs.vector:LatticeWormGoalVectorEnv",
     max_episode_steps=_TIME_LIMITS["reach"],
     kwargs={"task": "reach"},
 )

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from hypothesis import settings
 
-from lattice_gym.design import LatticeDesign
-from lattice_gym.engines import EngineName
-from lattice_gym.lattice import Lattice, build_lattice
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.engines.registry import EngineName
 
 # The same examples every time: a suite that fails must fail again.
 settings.register_profile("seeded", derandomize=True)

@@ -13,12 +13,13 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
-from lattice_gym.adaptation import Adaptation, Strength
-from lattice_gym.env import LatticeWormEnv, LatticeWormGoalEnv
-from lattice_gym.lattice import build_lattice
-from lattice_gym.measures import muscle_strain
-from lattice_gym.model import build_model
-from lattice_gym.muscles import named_layout
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.envs.goal import LatticeWormGoalEnv
+from lattice_gym.physics.laws.adaptation import Adaptation, Strength
+from lattice_gym.physics.measures import muscle_strain
+from lattice_gym.physics.worm import build_model
 
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 USE: dict[str, Any] = {"activation": [0.0, 0.5, 1.0], "tension": [0.0, 1.0, 2.0], "strain": [0.0, -0.2, 0.3]}

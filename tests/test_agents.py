@@ -46,12 +46,13 @@ from agents.outcomes import outcome_errors
 from agents.rollouts import Artefacts, evaluated, export, record
 from agents.run_folder import Run
 from agents.training import TrainingLog, new_model, resume_settings, step_size, train, worm_seeds
-from lattice_gym.design import LatticeDesign
-from lattice_gym.gaits import gait
-from lattice_gym.lattice import build_lattice
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.recording.files import replacing
+from lattice_gym.recording.trajectory import Trajectory
 from lattice_gym.rendering.extras import extra
-from lattice_gym.tasks import TASKS
-from lattice_gym.trajectory import Trajectory, replacing
+from lattice_gym.tasks.gaits import gait
+from lattice_gym.tasks.registry import TASKS
 
 ROOT = Path(__file__).parent.parent
 TINY = TrainConfig(

@@ -32,19 +32,12 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as seeded
 from hypothesis import strategies as st
 
-from lattice_gym.adaptation import Adaptation
-from lattice_gym.design import LatticeDesign
-from lattice_gym.engines import make_engine
-from lattice_gym.env import LatticeWormEnv
-from lattice_gym.gaits import gait
-from lattice_gym.hill import Hill
-from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.measures import travelling_wave
-from lattice_gym.model import Clamp, Joint, Line, PointForce, PointTorque, Rod, RodModel, build_model, straight_rod
-from lattice_gym.muscles import (
+from lattice_gym.benchmarks.__main__ import parser as reports_parser
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.body.muscles import (
     Muscle,
     MuscleLayout,
-    advance_activation,
     bending_layout,
     control_groups,
     horizontal,
@@ -53,10 +46,20 @@ from lattice_gym.muscles import (
     tie,
     vertical,
 )
-from lattice_gym.reports.__main__ import parser as reports_parser
-from lattice_gym.tasks import TASKS
-from lattice_gym.trajectory import Recorder, Trajectory
-from lattice_gym.world import Bolus, Contact, Ground, Medium, Part, World
+from lattice_gym.checks import Part
+from lattice_gym.engines.registry import make_engine
+from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.physics.assembly import Clamp, Joint, Line, PointForce, PointTorque, RodModel
+from lattice_gym.physics.laws.activation import advance_activation
+from lattice_gym.physics.laws.adaptation import Adaptation
+from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.measures import travelling_wave
+from lattice_gym.physics.rod import Rod, straight_rod
+from lattice_gym.physics.world import Bolus, Contact, Ground, Medium, World
+from lattice_gym.physics.worm import build_model
+from lattice_gym.recording.trajectory import Recorder, Trajectory
+from lattice_gym.tasks.gaits import gait
+from lattice_gym.tasks.registry import TASKS
 
 HANG = 30.0
 """A call that takes longer hangs [s]."""

@@ -13,15 +13,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.engines import Engine, Splitting, Status, make_engine
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.checks import FloatArray
+from lattice_gym.engines.base import Engine, Status
 from lattice_gym.engines.batch import BatchEngine
-from lattice_gym.engines.fused import Pack
-from lattice_gym.hill import Hill
-from lattice_gym.lattice import build_lattice
-from lattice_gym.model import PointTorque, RodModel, RodState, build_model
-from lattice_gym.muscles import named_layout
-from lattice_gym.world import Bolus, Contact, Ground, Medium, World
+from lattice_gym.engines.fused.pack import Pack
+from lattice_gym.engines.registry import make_engine
+from lattice_gym.physics.assembly import PointTorque, RodModel
+from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.state import RodState
+from lattice_gym.physics.world import Bolus, Contact, Ground, Medium, World
+from lattice_gym.physics.worm import build_model
 
 FIELDS = ("position", "velocity", "directors", "omega", "bolus_position", "bolus_velocity", "bolus_omega")
 DT = 1e-4

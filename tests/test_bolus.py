@@ -13,16 +13,22 @@ from elastica.rod.cosserat_rod import CosseratRod
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.energy import EnergyMeter, Ledger
-from lattice_gym.engines import Engine, EngineName, Splitting, Status, make_engine
-from lattice_gym.gaits import gait
-from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.model import Ball, Clamp, PointForce, RodModel, RodState, build_model, straight_rod
-from lattice_gym.muscles import MuscleLayout, named_layout
-from lattice_gym.stability import SAFETY, default_dt, stable_dt
-from lattice_gym.tasks import Transport
-from lattice_gym.world import Bolus, Ground, Medium, World
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.body.muscles import MuscleLayout, named_layout
+from lattice_gym.checks import FloatArray
+from lattice_gym.engines.base import Engine, Status
+from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.physics.assembly import Ball, Clamp, PointForce, RodModel
+from lattice_gym.physics.energy import EnergyMeter, Ledger
+from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.rod import straight_rod
+from lattice_gym.physics.stable_step import SAFETY, default_dt, stable_dt
+from lattice_gym.physics.state import RodState
+from lattice_gym.physics.world import Bolus, Ground, Medium, World
+from lattice_gym.physics.worm import build_model
+from lattice_gym.tasks.gaits import gait
+from lattice_gym.tasks.transport import Transport
 
 ROD: dict[str, Any] = {"radius": 0.01, "density": 1000.0, "youngs_modulus": 1e7, "shear_modulus": 4e6}
 SOFT: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e3, "shear_modulus": 3e2}

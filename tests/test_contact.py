@@ -12,16 +12,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lattice_gym import contact
-from lattice_gym.design import FloatArray, IntArray, LatticeDesign
-from lattice_gym.energy import EnergyMeter
-from lattice_gym.engines import EngineName, Splitting, kernels, make_engine
-from lattice_gym.engines.fused import FusedEngine
-from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.model import Clamp, Joint, PointForce, RodModel, RodState, build_model, straight_rod
-from lattice_gym.muscles import named_layout
-from lattice_gym.stability import DEEPEST, SAFETY, default_dt, stable_dt
-from lattice_gym.world import Contact, World
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.engines.fused import kernels
+from lattice_gym.engines.fused.engine import FusedEngine
+from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.physics.assembly import Clamp, Joint, PointForce, RodModel
+from lattice_gym.physics.energy import EnergyMeter
+from lattice_gym.physics.laws import contact
+from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.rod import straight_rod
+from lattice_gym.physics.stable_step import DEEPEST, SAFETY, default_dt, stable_dt
+from lattice_gym.physics.state import RodState
+from lattice_gym.physics.world import Contact, World
+from lattice_gym.physics.worm import build_model
 
 ROD: dict[str, Any] = {"radius": 0.01, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}
 SOFT: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e3, "shear_modulus": 3e2}

@@ -14,7 +14,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lattice_gym.design import CLOSING_TOLERANCE, MIN_SEGMENT_SHARE, TURN, LatticeDesign, wrap_angle
+from lattice_gym.body.design import CLOSING_TOLERANCE, MIN_SEGMENT_SHARE, LatticeDesign
+from lattice_gym.checks import TURN, wrap_angle
 
 COUNTS = ("n_pairs", "elements_per_segment", "elements_per_muscle")
 REALS = tuple(spec.name for spec in fields(LatticeDesign) if spec.type == "float")

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from lattice_gym.engines import Engine, Health, Status
-from lattice_gym.reports import divergence
-from lattice_gym.reports.__main__ import main
-from lattice_gym.reports.divergence import FIRST_SEED, N_CONTROL, TWIN, WRONG, Run, Truth, compare, count, held
+from lattice_gym.benchmarks import divergence
+from lattice_gym.benchmarks.__main__ import main
+from lattice_gym.benchmarks.divergence import FIRST_SEED, N_CONTROL, TWIN, WRONG, Run, Truth, compare, count, held
+from lattice_gym.engines.base import Engine, Health, Status
 
 
 @cache

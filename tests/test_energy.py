@@ -9,17 +9,23 @@ from typing import Any, cast, get_args
 import numpy as np
 import pytest
 
-from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.energy import ENERGY_TOLERANCE, EnergyMeter, Flow, StoredEnergy, ledger
-from lattice_gym.engines import Engine, EngineName, Health, Splitting, Status, make_engine
-from lattice_gym.env import LatticeWormEnv
-from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.model import Clamp, Joint, Line, PointForce, PointTorque, RodModel, RodState, build_model, straight_rod
-from lattice_gym.muscles import named_layout
-from lattice_gym.reports.ground import incline, rest_penetration, sliding_block_by_direction
-from lattice_gym.reports.scene import Scene
-from lattice_gym.reports.steps import slope
-from lattice_gym.world import Ground, Medium, World
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.checks import FloatArray
+from lattice_gym.engines.base import Engine, Health, Status
+from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.physics.assembly import Clamp, Joint, Line, PointForce, PointTorque, RodModel
+from lattice_gym.physics.energy import ENERGY_TOLERANCE, EnergyMeter, Flow, StoredEnergy, ledger
+from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.rod import straight_rod
+from lattice_gym.physics.state import RodState
+from lattice_gym.physics.world import Ground, Medium, World
+from lattice_gym.physics.worm import build_model
+from lattice_gym.verification.ground import incline, rest_penetration, sliding_block_by_direction
+from lattice_gym.verification.scene import Scene
+from lattice_gym.verification.steps import slope
 
 ROD = {"radius": 0.05, "density": 1e3, "youngs_modulus": 1e5, "shear_modulus": 3e4}
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}

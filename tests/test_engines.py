@@ -16,26 +16,20 @@ from elastica.rod.cosserat_rod import CosseratRod
 from elastica.surface.plane import Plane
 from elastica.timestepper.symplectic_steppers import PositionVerlet
 
-from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.engines import STEP_TOLERANCE, Engine, EngineName, Health, Splitting, Status, make_engine
-from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.model import (
-    Ball,
-    Clamp,
-    Joint,
-    Line,
-    PointForce,
-    PointTorque,
-    RodModel,
-    RodState,
-    build_model,
-    rotation_between,
-    straight_rod,
-)
-from lattice_gym.muscles import named_layout
-from lattice_gym.reports.divergence import Plan, plan
-from lattice_gym.stability import default_dt, stable_dt
-from lattice_gym.world import Ground, Medium, World
+from lattice_gym.benchmarks.divergence import Plan, plan
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.checks import FloatArray
+from lattice_gym.engines.base import STEP_TOLERANCE, Engine, Health, Status
+from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.physics.assembly import Ball, Clamp, Joint, Line, PointForce, PointTorque, RodModel
+from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.rod import rotation_between, straight_rod
+from lattice_gym.physics.stable_step import default_dt, stable_dt
+from lattice_gym.physics.state import RodState
+from lattice_gym.physics.world import Ground, Medium, World
+from lattice_gym.physics.worm import build_model
 
 FIELDS = ("position", "velocity", "directors", "omega")
 
@@ -487,7 +481,7 @@ def test_unknown_engine(lattice: Lattice) -> None:
 
 def test_the_step_check_sees_the_ball(monkeypatch: pytest.MonkeyPatch) -> None:
     """A ball that bounces off a held rod, which cannot differ, is compared too; too far off, it is named."""
-    monkeypatch.setattr("lattice_gym.engines.STEP_TOLERANCE", 1e-6)
+    monkeypatch.setattr("lattice_gym.engines.base.STEP_TOLERANCE", 1e-6)
     shape = {"radius": 0.01, "density": 1e3, "youngs_modulus": 1e5, "shear_modulus": 3e4}
     rod = straight_rod((0.0, 0.0, 0.0), (0.3, 0.0, 0.0), 2, **shape)
     clamps = tuple(Clamp(0, node, node if node < 2 else None) for node in range(3))

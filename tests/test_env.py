@@ -26,21 +26,27 @@ from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 import lattice_gym
-from lattice_gym.design import LatticeDesign
-from lattice_gym.engines import MAX_DILATATION, EngineName, Health, Status
-from lattice_gym.env import QUIET, LatticeWormEnv, LatticeWormGoalEnv, _world
-from lattice_gym.episode import DIVERGENCE_PENALTY
-from lattice_gym.fidelity import FidelityName
-from lattice_gym.lattice import build_lattice
-from lattice_gym.measures import muscle_lengths, site_positions
-from lattice_gym.model import Motion
-from lattice_gym.muscles import advance_activation, named_layout
-from lattice_gym.observation import OBSERVATION_BOUND
-from lattice_gym.reports.divergence import plan
-from lattice_gym.stability import stable_dt
-from lattice_gym.tasks import EFFORT_WEIGHT, TASKS, Peristalsis
-from lattice_gym.trajectory import Recorder
-from lattice_gym.world import Bolus, Ground, Medium, World
+from lattice_gym.benchmarks.divergence import plan
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.engines.base import Health, Status
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.envs.env import QUIET, LatticeWormEnv, _world
+from lattice_gym.envs.episode import DIVERGENCE_PENALTY
+from lattice_gym.envs.fidelity import FidelityName
+from lattice_gym.envs.goal import LatticeWormGoalEnv
+from lattice_gym.envs.observation import OBSERVATION_BOUND
+from lattice_gym.physics.laws.activation import advance_activation
+from lattice_gym.physics.measures import muscle_lengths, site_positions
+from lattice_gym.physics.rod import MAX_DILATATION
+from lattice_gym.physics.stable_step import stable_dt
+from lattice_gym.physics.state import Motion
+from lattice_gym.physics.world import Bolus, Ground, Medium, World
+from lattice_gym.recording.trajectory import Recorder
+from lattice_gym.tasks.base import EFFORT_WEIGHT
+from lattice_gym.tasks.peristalsis import Peristalsis
+from lattice_gym.tasks.registry import TASKS
 
 IDS = {
     "LatticeWorm-v0": ("peristalsis", 90, 200),

@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lattice_gym.design import LatticeDesign
-from lattice_gym.gaits import (
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import MuscleLayout, control_groups, named_layout, tie
+from lattice_gym.tasks.gaits import (
     FULL_DRIVE_AMPLITUDE,
     LEAD,
     TASKS_WITH_GAITS,
@@ -23,8 +25,6 @@ from lattice_gym.gaits import (
     grouped,
     peristalsis_gait,
 )
-from lattice_gym.lattice import build_lattice
-from lattice_gym.muscles import MuscleLayout, control_groups, named_layout, tie
 
 LATTICE = build_lattice(LatticeDesign())
 ALL = named_layout("all", LATTICE)

@@ -8,14 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.engines import EngineName, make_engine
-from lattice_gym.env import LatticeWormEnv
-from lattice_gym.gaits import gait
-from lattice_gym.lattice import build_lattice
-from lattice_gym.model import PointForce, RodModel, RodState, build_model, straight_rod
-from lattice_gym.muscles import advance_activation, named_layout
-from lattice_gym.world import Ground, Medium, World
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.checks import FloatArray
+from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.physics.assembly import PointForce, RodModel
+from lattice_gym.physics.laws.activation import advance_activation
+from lattice_gym.physics.rod import straight_rod
+from lattice_gym.physics.state import RodState
+from lattice_gym.physics.world import Ground, Medium, World
+from lattice_gym.physics.worm import build_model
+from lattice_gym.tasks.gaits import gait
 
 BY_DIRECTION = Ground(forward=0.4, backward=1.5, sideways=0.8, static_friction=0.6)
 SOFT = {"radius": 0.1, "density": 1000.0, "youngs_modulus": 1e-7, "shear_modulus": 4e-8}

@@ -9,14 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.engines import Engine, EngineName, make_engine
-from lattice_gym.env import LatticeWormEnv
-from lattice_gym.hill import Hill
-from lattice_gym.lattice import build_lattice
-from lattice_gym.model import Clamp, Line, PointForce, RodModel, build_model, straight_rod
-from lattice_gym.muscles import named_layout
-from lattice_gym.stability import default_dt, stable_dt
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.checks import FloatArray
+from lattice_gym.engines.base import Engine
+from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.physics.assembly import Clamp, Line, PointForce, RodModel
+from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.rod import straight_rod
+from lattice_gym.physics.stable_step import default_dt, stable_dt
+from lattice_gym.physics.worm import build_model
 
 SOFT: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 10.0, "shear_modulus": 4.0}
 SLOW = Hill(max_speed=2.0)

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from lattice_gym.engines import kernels
+from lattice_gym.engines.fused import kernels
 
 
 def test_no_index_leaves_its_array(tmp_path: Path) -> None:

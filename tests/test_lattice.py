@@ -10,8 +10,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from lattice_gym.design import TURN, FloatArray, LatticeDesign, wrap_angle
-from lattice_gym.lattice import Lattice, build_lattice
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.checks import TURN, FloatArray, wrap_angle
 
 FIELDS = tuple(LatticeDesign().to_dict())
 

@@ -22,7 +22,7 @@ def _lint_imports(folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_contracts_hold() -> None:
-    """Design to reports, and nothing that learns."""
+    """Benchmarks to checks, and nothing that learns."""
     result = _lint_imports(ROOT)
     assert result.returncode == 0, result.stdout + result.stderr
     assert "3 kept, 0 broken" in result.stdout
@@ -31,9 +31,9 @@ def test_contracts_hold() -> None:
 @pytest.mark.parametrize(
     ("module", "line", "broken"),
     [
-        ("lattice_gym/design.py", "from lattice_gym import lattice", "Imports go one way"),
-        ("lattice_gym/design.py", "import torch", "knows nothing of what learns"),
-        ("lattice_gym/design.py", "from agents import config", "knows nothing of what learns"),
+        ("lattice_gym/checks.py", "from lattice_gym.body import lattice", "Imports go one way"),
+        ("lattice_gym/checks.py", "import torch", "knows nothing of what learns"),
+        ("lattice_gym/checks.py", "from agents import config", "knows nothing of what learns"),
         ("agents/config.py", "import train", "know nothing of the command line"),
     ],
 )

@@ -7,9 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.measures import (
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.checks import FloatArray
+from lattice_gym.physics.assembly import Joint, RodModel
+from lattice_gym.physics.measures import (
     base_frame,
     bend_angle,
     bend_direction,
@@ -28,8 +31,8 @@ from lattice_gym.measures import (
     top_normal,
     travelling_wave,
 )
-from lattice_gym.model import Joint, RodModel, build_model, straight_rod
-from lattice_gym.muscles import named_layout
+from lattice_gym.physics.rod import straight_rod
+from lattice_gym.physics.worm import build_model
 
 LATTICE = build_lattice(LatticeDesign())
 REST = LATTICE.position.reshape(-1, 3)

@@ -10,23 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lattice_gym.design import LatticeDesign
-from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.model import (
-    Clamp,
-    Joint,
-    Line,
-    PointForce,
-    PointTorque,
-    Rod,
-    RodModel,
-    build_model,
-    rotation_between,
-    straight_frames,
-    straight_rod,
-)
-from lattice_gym.muscles import named_layout
-from lattice_gym.world import Bolus, Ground, Medium, World
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.physics.assembly import Clamp, Joint, Line, PointForce, PointTorque, RodModel
+from lattice_gym.physics.rod import Rod, rotation_between, straight_frames, straight_rod
+from lattice_gym.physics.world import Bolus, Ground, Medium, World
+from lattice_gym.physics.worm import build_model
 
 STEEL: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}
 

@@ -13,13 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lattice_gym.design import TURN, FloatArray, IntArray, LatticeDesign, wrap_angle
-from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.muscles import (
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.body.muscles import (
     LAYOUTS,
     Muscle,
     MuscleLayout,
-    advance_activation,
     bending_layout,
     control_groups,
     horizontal,
@@ -28,6 +27,8 @@ from lattice_gym.muscles import (
     tie,
     vertical,
 )
+from lattice_gym.checks import TURN, FloatArray, IntArray, wrap_angle
+from lattice_gym.physics.laws.activation import advance_activation
 
 LATTICE = build_lattice(LatticeDesign())
 UNEVEN = build_lattice(LatticeDesign(n_pairs=3, phases=(0.0, 1.0, 3.0) * 2, period_ratio=2.0))

@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lattice_gym.engines import EngineName, Splitting, make_engine
-from lattice_gym.model import RodModel, rotation_between
-from lattice_gym.reports.cases import CASES, PRECESSION_STEPS, bar
-from lattice_gym.reports.ground import GROUND_CASES
-from lattice_gym.reports.scene import Case, Outcome, Reading, difference, pass_time, run
-from lattice_gym.reports.steps import STEP_SCENES, StepScene, slope, step_orders, step_trials
-from lattice_gym.stability import stable_dt
+from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.rod import rotation_between
+from lattice_gym.physics.stable_step import stable_dt
+from lattice_gym.verification.cases import CASES, PRECESSION_STEPS, bar
+from lattice_gym.verification.ground import GROUND_CASES
+from lattice_gym.verification.scene import Case, Outcome, Reading, difference, pass_time, run
+from lattice_gym.verification.steps import STEP_SCENES, StepScene, slope, step_orders, step_trials
 
 QUICK = [case for case in CASES if case.name not in ("michell_ring", "localised_buckle")]
 HELD = [case for case in CASES if case not in QUICK]

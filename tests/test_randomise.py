@@ -15,14 +15,15 @@ from gymnasium.vector import SyncVectorEnv
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lattice_gym.design import LatticeDesign
-from lattice_gym.env import LatticeWormEnv
-from lattice_gym.lattice import build_lattice
-from lattice_gym.model import RodModel, build_model
-from lattice_gym.muscles import named_layout
-from lattice_gym.randomise import BODY, NAMES, Randomisation, varied
-from lattice_gym.stability import stable_dt
-from lattice_gym.vector_env import LatticeWormVectorEnv
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.envs.randomisation import BODY, NAMES, Randomisation, varied
+from lattice_gym.envs.vector import LatticeWormVectorEnv
+from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.stable_step import stable_dt
+from lattice_gym.physics.worm import build_model
 
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 QUICK: dict[str, Any] = {"task": "reach", "design": SMALL, "control_dt": 0.02}

@@ -50,11 +50,11 @@ def test_named_ids_and_names_exist() -> None:
 @pytest.mark.parametrize("report", ["paper", "engines"])
 def test_results_are_those_of_the_reports(report: str) -> None:
     """The tables in the text are the ones the reports wrote."""
-    assert (ROOT / f"lattice_gym/reports/results/{report}.md").read_text().strip() in README
+    assert (ROOT / f"lattice_gym/benchmarks/results/{report}.md").read_text().strip() in README
 
 
 def test_targets_are_those_of_the_throughput_report() -> None:
     """The table of targets in the text is the one that the report wrote."""
-    tables = (ROOT / "lattice_gym/reports/results/throughput.md").read_text().split("\n\n")
+    tables = (ROOT / "lattice_gym/benchmarks/results/throughput.md").read_text().split("\n\n")
     assert tables[1].startswith("| target")
     assert tables[1] in README

@@ -20,26 +20,21 @@ from hypothesis.extra import numpy as hnp
 from matplotlib.image import imread
 from PIL import Image
 
-from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.model import RodModel, build_model, straight_rod
-from lattice_gym.muscles import MuscleLayout, named_layout, tie
-from lattice_gym.rendering import (
-    Renderer,
-    Still,
-    activation_colour,
-    plot_activation,
-    render_frame,
-    render_still,
-    render_strip,
-    render_video,
-    scene,
-    shapes,
-    video,
-)
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.body.muscles import MuscleLayout, named_layout, tie
+from lattice_gym.checks import FloatArray
+from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.rod import straight_rod
+from lattice_gym.physics.world import Bolus, World
+from lattice_gym.physics.worm import build_model
+from lattice_gym.recording.trajectory import Recorder, Trajectory
+from lattice_gym.rendering import scene, shapes, video
+from lattice_gym.rendering.colours import activation_colour
 from lattice_gym.rendering.extras import extra
-from lattice_gym.trajectory import Recorder, Trajectory
-from lattice_gym.world import Bolus, World
+from lattice_gym.rendering.figures import Still, plot_activation, render_still, render_strip
+from lattice_gym.rendering.scene import Renderer, render_frame
+from lattice_gym.rendering.video import render_video
 
 imageio_ffmpeg = extra("imageio_ffmpeg")
 SIZE = (160, 120)
@@ -599,7 +594,7 @@ from lattice_gym.design import LatticeDesign
 from lattice_gym.lattice import build_lattice
 from lattice_gym.model import build_model
 from lattice_gym.muscles import MuscleLayout
-from lattice_gym.rendering import render_frame
+from lattice_gym.rendering.scene import render_frame
 lattice = build_lattice(LatticeDesign(elements_per_segment=1))
 model = build_model(lattice, MuscleLayout())
 print(render_frame(lattice, model, model.rest_state().position, size=(64, 64)).std() > 5)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from lattice_gym.engines.fused import FusedEngine
-from lattice_gym.reports import engines, paper
-from lattice_gym.reports.__main__ import main
-from lattice_gym.reports.provenance import table
+from lattice_gym.benchmarks import engines, paper
+from lattice_gym.benchmarks.__main__ import main
+from lattice_gym.benchmarks.results_files import table
+from lattice_gym.engines.fused.engine import FusedEngine
 
 
 def test_the_papers_motions_at_one_newton(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -22,7 +22,7 @@ def test_the_papers_motions_at_one_newton(tmp_path: Path, capsys: pytest.Capture
         row["motion"]: abs(row["deviation"]) < allowed[row["motion"]] for row in result["outcomes"]
     } == dict.fromkeys(allowed, True)
     assert {row["verdict"] for row in result["outcomes"]} == {"held"}
-    assert result["made"]["command"] == "python -m lattice_gym.reports paper --tension 1.0 --no-pictures"
+    assert result["made"]["command"] == "python -m lattice_gym.benchmarks paper --tension 1.0 --no-pictures"
     printed = capsys.readouterr().out
     assert printed == (tmp_path / "paper.md").read_text()
     assert str(tmp_path) not in printed
@@ -102,9 +102,9 @@ def test_the_command_makes_the_result_again(
         commands.append(command)
         return True
 
-    monkeypatch.setattr(f"lattice_gym.reports.{report}", listen)
+    monkeypatch.setattr(f"lattice_gym.benchmarks.{report}", listen)
     assert main(["--out", "somewhere", *words]) == 0
-    assert commands == [f"python -m lattice_gym.reports {named}"]
+    assert commands == [f"python -m lattice_gym.benchmarks {named}"]
 
 
 def test_table_columns_line_up() -> None:

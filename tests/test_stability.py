@@ -11,15 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.engines import Splitting, make_engine
-from lattice_gym.hill import Hill
-from lattice_gym.lattice import build_lattice
-from lattice_gym.model import Clamp, Joint, Line, RodModel, RodState, build_model, straight_rod
-from lattice_gym.muscles import named_layout
-from lattice_gym.reports import stability as report
-from lattice_gym.stability import DT_MARGIN, SAFETY, _largest_eigenvalue, contraction, default_dt, stable_dt
-from lattice_gym.world import Ground, Medium, World
+from lattice_gym.benchmarks import stability as report
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.checks import FloatArray
+from lattice_gym.engines.registry import make_engine
+from lattice_gym.physics.assembly import Clamp, Joint, Line, RodModel
+from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.rod import straight_rod
+from lattice_gym.physics.stable_step import DT_MARGIN, SAFETY, _largest_eigenvalue, contraction, default_dt, stable_dt
+from lattice_gym.physics.state import RodState
+from lattice_gym.physics.world import Ground, Medium, World
+from lattice_gym.physics.worm import build_model
 
 STEEL: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}
 SOFT: dict[str, Any] = STEEL | {"youngs_modulus": 1.0, "shear_modulus": 1.0}

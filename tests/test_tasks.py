@@ -12,16 +12,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.env import LatticeWormEnv
-from lattice_gym.fidelity import FidelityName
-from lattice_gym.gaits import FULL_DRIVE_AMPLITUDE, gait
-from lattice_gym.lattice import build_lattice
-from lattice_gym.measures import muscle_lengths, top_centre
-from lattice_gym.model import Motion, RodState, build_model
-from lattice_gym.muscles import named_layout
-from lattice_gym.tasks import EFFORT_WEIGHT, EIGHT_TARGETS, TASKS, Peristalsis, Task, make_task
-from lattice_gym.world import World
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.checks import FloatArray
+from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.envs.fidelity import FidelityName
+from lattice_gym.physics.measures import muscle_lengths, top_centre
+from lattice_gym.physics.state import Motion, RodState
+from lattice_gym.physics.world import World
+from lattice_gym.physics.worm import build_model
+from lattice_gym.tasks.base import EFFORT_WEIGHT, Task
+from lattice_gym.tasks.gaits import FULL_DRIVE_AMPLITUDE, gait
+from lattice_gym.tasks.peristalsis import Peristalsis
+from lattice_gym.tasks.reach import EIGHT_TARGETS
+from lattice_gym.tasks.registry import TASKS, make_task
 
 LATTICE = build_lattice(LatticeDesign())
 MODEL = build_model(LATTICE, named_layout("all", LATTICE))

@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lattice_gym.design import LatticeDesign
-from lattice_gym.engines import make_engine
-from lattice_gym.engines.fused import FusedEngine
-from lattice_gym.lattice import build_lattice
-from lattice_gym.model import build_model
-from lattice_gym.muscles import named_layout
-from lattice_gym.reports import cold_start, machine, operations, scaling, throughput, throughput_study
-from lattice_gym.reports.__main__ import main
-from lattice_gym.reports.engines import BENCHMARK_DT, benchmark_model
-from lattice_gym.reports.operations import Counting
-from lattice_gym.reports.plain_pyelastica import PlainPyElastica
-from lattice_gym.reports.scaling import Growth, fit, record_bytes
-from lattice_gym.reports.scene_costs import SCENES
-from lattice_gym.reports.throughput import Target
-from lattice_gym.reports.timing import allocated, digits, interleaved, seconds, spread
+from lattice_gym.benchmarks import cold_start, machine, operations, scaling, throughput, throughput_study
+from lattice_gym.benchmarks.__main__ import main
+from lattice_gym.benchmarks.engines import BENCHMARK_DT, benchmark_model
+from lattice_gym.benchmarks.operations import Counting
+from lattice_gym.benchmarks.plain_pyelastica import PlainPyElastica
+from lattice_gym.benchmarks.scaling import Growth, fit, record_bytes
+from lattice_gym.benchmarks.scene_costs import SCENES
+from lattice_gym.benchmarks.throughput import Target
+from lattice_gym.benchmarks.timing import allocated, digits, interleaved, seconds, spread
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.engines.fused.engine import FusedEngine
+from lattice_gym.engines.registry import make_engine
+from lattice_gym.physics.worm import build_model
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_everything_is_timed(quick: tuple[str, dict[str, Any]]) -> None:
     assert result["scaling"]["muscles"]["count"] == list(plan.muscles)
     assert all(f"| {scene.name} " in text for scene in SCENES)
     assert result["bytes_per_worm"] > record_bytes(benchmark_model()) / 2
-    assert "`python -m lattice_gym.reports throughput --quick`" in text
+    assert "`python -m lattice_gym.benchmarks throughput --quick`" in text
 
 
 def test_a_missed_target_shows() -> None:

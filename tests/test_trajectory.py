@@ -12,12 +12,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lattice_gym.design import LatticeDesign
-from lattice_gym.lattice import build_lattice
-from lattice_gym.model import build_model
-from lattice_gym.muscles import MuscleLayout, horizontal, named_layout, tie
-from lattice_gym.trajectory import Recorder, Trajectory, n_nodes, replacing
-from lattice_gym.world import Bolus, World
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import MuscleLayout, horizontal, named_layout, tie
+from lattice_gym.physics.world import Bolus, World
+from lattice_gym.physics.worm import build_model
+from lattice_gym.recording.files import replacing
+from lattice_gym.recording.trajectory import Recorder, Trajectory, n_nodes
 
 DESIGN = LatticeDesign(n_pairs=2, period_ratio=1.0, elements_per_segment=1, structure_radius=3e-3)
 LATTICE = build_lattice(DESIGN)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from lattice_gym.reports import validation
-from lattice_gym.reports.__main__ import parser
-from lattice_gym.reports.cases import CASES
+from lattice_gym.benchmarks import validation
+from lattice_gym.benchmarks.__main__ import parser
+from lattice_gym.verification.cases import CASES
 
 FEW = tuple(
     case for case in CASES if case.name in ("timoshenko_cantilever", "uniform_twist", "energy", "helical_spring")

@@ -18,11 +18,12 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lattice_gym.design import FloatArray, LatticeDesign
-from lattice_gym.env import LatticeWormEnv
-from lattice_gym.episode import DIVERGENCE_PENALTY
-from lattice_gym.tasks import TASKS
-from lattice_gym.vector_env import LatticeWormGoalVectorEnv, LatticeWormVectorEnv
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.checks import FloatArray
+from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.envs.episode import DIVERGENCE_PENALTY
+from lattice_gym.envs.vector import LatticeWormGoalVectorEnv, LatticeWormVectorEnv
+from lattice_gym.tasks.registry import TASKS
 
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 """A lattice of three sites on each of five levels: quick to build and to step."""

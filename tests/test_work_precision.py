@@ -14,18 +14,19 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
-from lattice_gym.design import LatticeDesign
-from lattice_gym.engines import Splitting
-from lattice_gym.env import LatticeWormEnv
-from lattice_gym.fidelity import FIDELITIES, FidelityName, named_fidelity
-from lattice_gym.lattice import build_lattice
-from lattice_gym.model import RodModel, build_model
-from lattice_gym.muscles import named_layout
-from lattice_gym.reports import motions, precision_study, work_precision
-from lattice_gym.reports.__main__ import main
-from lattice_gym.reports.motions import SCENES, Course, Setting, compare, extrapolated, run
-from lattice_gym.reports.pefrl import pefrl_faults
-from lattice_gym.tasks import TASKS
+from lattice_gym.benchmarks import motions, precision_study, work_precision
+from lattice_gym.benchmarks.__main__ import main
+from lattice_gym.benchmarks.motions import SCENES, Course, Setting, compare, extrapolated, run
+from lattice_gym.benchmarks.pefrl import pefrl_faults
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.body.muscles import named_layout
+from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.envs.fidelity import FIDELITIES, FidelityName, named_fidelity
+from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.worm import build_model
+from lattice_gym.tasks.registry import TASKS
 
 BRIEF = replace(SCENES[0], duration=0.1)
 RESULTS = Path(work_precision.__file__).parent / "results"
@@ -56,7 +57,7 @@ def test_quick_report_is_whole(quick: tuple[Path, dict[str, Any]]) -> None:
     folder, result = quick
     text = (folder / "work-precision.md").read_text()
     assert str(folder) not in text
-    assert "`python -m lattice_gym.reports work-precision --quick`" in text
+    assert "`python -m lattice_gym.benchmarks work-precision --quick`" in text
     assert (folder / "work-precision.png").read_bytes()[1:4] == b"PNG"
     assert result["same_course"] < 1e-11
     assert result["least_ratio"] > 0.0
@@ -112,7 +113,7 @@ def test_engines_take_the_same_course() -> None:
 def test_progress_is_shown(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """A line once ten seconds have passed, and no more."""
     clock = iter([0.0, 5.0, 11.0, 12.0])
-    monkeypatch.setattr("lattice_gym.reports.precision_study.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("lattice_gym.benchmarks.precision_study.time.monotonic", lambda: next(clock))
     progress = precision_study.Progress()
     for text in ("a", "b", "c"):
         progress(text)

@@ -11,20 +11,14 @@ from concurrent.futures import ThreadPoolExecutor, wait
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import FloatArray, IntArray, shown, whole_number
-from lattice_gym.engines import (
-    EngineName,
-    Health,
-    Splitting,
-    check_options,
-    kernels,
-    make_engine,
-    positive_step,
-    step_count,
-    tension_ramp,
-)
-from lattice_gym.engines.fused import Features, Pack, features, n_record
-from lattice_gym.model import RodModel, RodState
+from lattice_gym.checks import FloatArray, IntArray, shown, whole_number
+from lattice_gym.engines.base import Health, positive_step, step_count, tension_ramp
+from lattice_gym.engines.fused import kernels
+from lattice_gym.engines.fused.pack import Features, Pack, features, n_record
+from lattice_gym.engines.registry import EngineName, check_options, make_engine
+from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.state import RodState
 
 _CACHE = 2**20
 """Bytes that a core keeps at hand: what its second-level cache holds, 1 MiB where this was measured."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import FloatArray
+from lattice_gym.checks import FloatArray
 
 ROD, SITE, PLATE, BOLUS, TEXT, HAZE = "#a9b3bf", "#8c97a5", "#e6eaee", "#5b8db8", "#2b3440", "#ffffff"
 MARKER, TOP = "#139a53", "#1c2733"

@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import FloatArray
-from lattice_gym.lattice import Lattice, build_lattice
-from lattice_gym.model import RodModel
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.checks import FloatArray
+from lattice_gym.physics.assembly import RodModel
+from lattice_gym.recording.files import replacing
+from lattice_gym.recording.trajectory import Trajectory
 from lattice_gym.rendering import colours
 from lattice_gym.rendering.colours import activation_colour
 from lattice_gym.rendering.extras import extra
 from lattice_gym.rendering.scene import Renderer, checked
-from lattice_gym.trajectory import Trajectory, replacing
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,15 +13,16 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import FloatArray
-from lattice_gym.lattice import Lattice
-from lattice_gym.measures import top_centre
-from lattice_gym.model import RodModel, straight_rod
+from lattice_gym.body.lattice import Lattice
+from lattice_gym.checks import FloatArray
+from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.measures import top_centre
+from lattice_gym.physics.rod import straight_rod
+from lattice_gym.recording.trajectory import ACTIVATION_TOLERANCE
 from lattice_gym.rendering import colours
 from lattice_gym.rendering.colours import activation_colour, rgb
 from lattice_gym.rendering.extras import extra
 from lattice_gym.rendering.shapes import Balls, Tubes, overwrite
-from lattice_gym.trajectory import ACTIVATION_TOLERANCE
 
 RGB = npt.NDArray[np.uint8]
 

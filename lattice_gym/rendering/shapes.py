@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import FloatArray, IntArray
-from lattice_gym.model import RodModel
+from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.physics.assembly import RodModel
 from lattice_gym.rendering.extras import extra
 
 # No radius is drawn more than this many times its rest value, however short the element.

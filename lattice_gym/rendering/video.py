@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.design import FloatArray, IntArray
-from lattice_gym.lattice import build_lattice
-from lattice_gym.model import build_model
+from lattice_gym.body.lattice import build_lattice
+from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.physics.worm import build_model
+from lattice_gym.recording.files import replacing
+from lattice_gym.recording.trajectory import Trajectory
 from lattice_gym.rendering.extras import extra
 from lattice_gym.rendering.scene import Renderer
-from lattice_gym.trajectory import Trajectory, replacing
 
 FASTEST, FASTEST_GIF = 60.0, 50.0
 """Most pictures a second of a video by default; and of a GIF at all, as viewers slow down what is faster."""

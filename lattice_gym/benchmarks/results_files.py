@@ -1,0 +1,41 @@
+"""Result files of the reports: JSON and tables."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from lattice_gym.recording.provenance import footer
+
+
+def write(folder: Path, name: str, result: dict[str, Any], tables: Sequence[str]) -> None:
+    """Write NAME.json and NAME.md; `result["made"]` is what `provenance` gave. Prints the tables as well."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{name}.json").write_text(json.dumps(_finite(result), indent=1, allow_nan=False) + "\n")
+    text = "\n\n".join([*tables, footer(result["made"])]) + "\n"
+    (folder / f"{name}.md").write_text(text)
+    sys.stdout.write(text)
+
+
+def _finite(value: Any) -> Any:
+    """Copy with None for what JSON cannot hold: numbers that are not finite."""
+    if isinstance(value, dict):
+        return {name: _finite(entry) for name, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Markdown table with columns as wide as their widest entry."""
+    lines = [list(header), *(list(row) for row in rows)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+    text = [
+        "| " + " | ".join(entry.ljust(width) for entry, width in zip(line, widths, strict=True)) + " |"
+        for line in lines
+    ]
+    return "\n".join([text[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *text[1:]])

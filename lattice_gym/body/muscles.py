@@ -1,0 +1,327 @@
+"""Which sites each muscle ties, and which muscles act together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from numbers import Integral
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lattice_gym.body.lattice import Lattice
+from lattice_gym.checks import TURN, FloatArray, IntArray, finite_number, shown, wrap_angle
+
+ORIENTATIONS = ("horizontal", "vertical", "custom")
+CONTROLS = ("muscle", "ring", "column")
+LAYOUTS = ("extension", "compression", "bending", "all")
+# Azimuths closer than this are one: far above rounding, far below the angle between two sites [rad].
+AZIMUTH_TOLERANCE = 1e-6
+# The bending layout: vertical muscles shorten the side the worm bends to, rings on the other side lengthen that one.
+BENDING_VERTICAL_HALF_WIDTH = math.radians(30.0)
+BENDING_HORIZONTAL_HALF_WIDTH = math.radians(60.0)
+
+
+def _index(name: str, value: object) -> int:
+    if isinstance(value, Integral) and not isinstance(value, bool) and (index := int(value)) >= 0:
+        return index
+    raise ValueError(f"{name} = {shown(value)}: must be a whole number, 0 or more")
+
+
+@dataclass(frozen=True)
+class Muscle:
+    """A muscle between two sites: "vertical" (longitudinal), "horizontal" (circumferential) or "custom"; on or off."""
+
+    orientation: str
+    start: int
+    end: int
+    on: bool = True
+
+    def __post_init__(self) -> None:
+        """Check what can be checked without a lattice."""
+        if not isinstance(self.orientation, str) or self.orientation not in ORIENTATIONS:
+            raise ValueError(f"Muscle.orientation = {self.orientation!r}: must be one of {', '.join(ORIENTATIONS)}")
+        object.__setattr__(self, "start", _index("Muscle.start", self.start))
+        object.__setattr__(self, "end", _index("Muscle.end", self.end))
+        if self.start == self.end:
+            raise ValueError(f"Muscle.end = {self.end}: must differ from start, or the muscle has no length")
+        if not isinstance(self.on, bool):
+            raise ValueError(f"Muscle.on = {self.on!r}: must be True or False")
+
+    @property
+    def sites(self) -> frozenset[int]:
+        """The two sites, either way round."""
+        return frozenset((self.start, self.end))
+
+
+@dataclass(frozen=True)
+class MuscleLayout:
+    """Muscles in a fixed order, no two between the same sites; ``len`` counts those switched on."""
+
+    muscles: tuple[Muscle, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what is no muscle and a second muscle between the same two sites."""
+        object.__setattr__(self, "muscles", tuple(_each("MuscleLayout.muscles", self.muscles)))
+        seen = set()
+        for muscle in self.muscles:
+            if not isinstance(muscle, Muscle):
+                raise ValueError(f"MuscleLayout.muscles holds {muscle!r}: must be Muscle objects")
+            if muscle.sites in seen:
+                raise ValueError(
+                    f"MuscleLayout.muscles: more than one muscle ties sites {muscle.start} and {muscle.end}"
+                )
+            seen.add(muscle.sites)
+
+    @property
+    def active(self) -> tuple[Muscle, ...]:
+        """The muscles that are on."""
+        return tuple(muscle for muscle in self.muscles if muscle.on)
+
+    def __len__(self) -> int:
+        """Return the number of muscles that are on."""
+        return len(self.active)
+
+    def __or__(self, other: MuscleLayout) -> MuscleLayout:
+        """Union: these muscles, then those of the other layout that tie other sites."""
+        seen = {muscle.sites for muscle in self.muscles}
+        return MuscleLayout(self.muscles + tuple(muscle for muscle in other.muscles if muscle.sites not in seen))
+
+    def select(
+        self,
+        lattice: Lattice,
+        orientation: str | None = None,
+        levels: Iterable[int] | None = None,
+        azimuth: tuple[float, float] | None = None,
+    ) -> npt.NDArray[np.bool_]:
+        """Mask of the muscles, on or off, that meet every condition given, shape (len(muscles),).
+
+        ``levels`` compares the muscle's lower level. ``azimuth`` = (centre, half width) [rad] must hold both ends.
+        """
+        mask = np.ones(len(self.muscles), dtype=np.bool_)
+        if orientation is not None:
+            if not isinstance(orientation, str) or orientation not in ORIENTATIONS:
+                raise ValueError(f"orientation = {orientation!r}: must be one of {', '.join(ORIENTATIONS)}")
+            mask &= np.array([muscle.orientation == orientation for muscle in self.muscles], dtype=np.bool_)
+        sites = _sites(self.muscles, lattice)
+        if levels is not None:
+            _need_levels("levels", lattice)
+            mask &= np.isin(lattice.site_level[sites].min(axis=1), _levels("levels", levels, lattice))
+        if azimuth is not None:
+            centre, half_width = (_number("azimuth", value) for value in _pair("azimuth", azimuth))
+            if half_width < 0.0:
+                raise ValueError(f"azimuth = {azimuth!r}: the half width must not be negative [rad]")
+            apart = np.abs(wrap_angle(lattice.site_azimuth[sites] - centre))
+            mask &= np.all(apart <= half_width + AZIMUTH_TOLERANCE, axis=1)
+        return mask
+
+    def switched(self, mask: npt.ArrayLike) -> MuscleLayout:
+        """Layout with exactly the masked muscles on; mask: bool, shape (len(muscles),)."""
+        on = np.asarray(mask)
+        if on.dtype != np.bool_ or on.shape != (len(self.muscles),):
+            raise ValueError(
+                f"mask of {on.dtype} with shape {on.shape}: must be bool with shape ({len(self.muscles)},)"
+            )
+        return MuscleLayout(tuple(replace(muscle, on=bool(k)) for muscle, k in zip(self.muscles, on, strict=True)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON-safe values."""
+        return {"muscles": [dict(vars(muscle)) for muscle in self.muscles]}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> MuscleLayout:
+        """Layout from its dict form."""
+        if not isinstance(values, Mapping) or set(values) != {"muscles"} or not isinstance(values["muscles"], Sequence):
+            raise ValueError(f'muscles = {values!r}: a layout as a mapping must be {{"muscles": [...]}}')
+        muscles = []
+        for entry in values["muscles"]:
+            try:
+                muscles.append(Muscle(**entry))
+            except TypeError:
+                raise ValueError(f"muscles holds {entry!r}: must be a mapping of orientation, start, end, on") from None
+        return cls(tuple(muscles))
+
+
+def horizontal(lattice: Lattice, levels: Iterable[int] | None = None) -> MuscleLayout:
+    """Muscles between neighbours on the rings of the given levels, by default all but the base."""
+    _need_levels("horizontal", lattice)
+    muscles: list[Muscle] = []
+    for level in _levels("levels", range(1, lattice.n_level) if levels is None else levels, lattice):
+        ring = np.flatnonzero(lattice.site_level == level).tolist()
+        pairs = list(zip(ring, ring[1:] + ring[:1], strict=True))
+        # Both ways round a ring of two sites tie the same two.
+        muscles += [Muscle("horizontal", start, end) for start, end in (pairs if len(ring) > 2 else pairs[:1])]
+    return MuscleLayout(tuple(muscles))
+
+
+def vertical(lattice: Lattice, span: int = 2) -> MuscleLayout:
+    """Muscles from each site to the one of the same azimuth, span levels up.
+
+    The span is even, as the sites of neighbouring levels alternate in azimuth.
+    """
+    _need_levels("vertical", lattice)
+    highest = lattice.n_level - 1
+    if _index("span", span) % 2 or not 2 <= span <= highest:
+        raise ValueError(
+            f"span = {span}: a vertical muscle spans an even number of levels, from 2 to the {highest} there are"
+        )
+    muscles: list[Muscle] = []
+    for level in range(lattice.n_level - span):
+        lower, upper = (np.flatnonzero(lattice.site_level == at) for at in (level, level + span))
+        apart = np.abs(wrap_angle(lattice.site_azimuth[lower][:, None] - lattice.site_azimuth[upper]))
+        ends = upper[apart.argmin(axis=1)]
+        muscles += [Muscle("vertical", int(low), int(high)) for low, high in zip(lower, ends, strict=True)]
+    return MuscleLayout(tuple(muscles))
+
+
+def tie(lattice: Lattice, pairs: Iterable[tuple[int, int]]) -> MuscleLayout:
+    """Make custom muscles between pairs of sites."""
+    muscles = (Muscle("custom", *_pair("pairs", pair)) for pair in _each("pairs", pairs))
+    return resolve_layout(MuscleLayout(tuple(muscles)), lattice)
+
+
+def bending_layout(lattice: Lattice, azimuth: float = 0.0) -> MuscleLayout:
+    """Muscles that bend the worm towards an azimuth [rad], symmetric about the plane through it."""
+    towards = (_number("azimuth", azimuth), BENDING_VERTICAL_HALF_WIDTH)
+    away = (towards[0] + math.pi, BENDING_HORIZONTAL_HALF_WIDTH)
+    layout = horizontal(lattice) | vertical(lattice)
+    mask = layout.select(lattice, "vertical", azimuth=towards) | layout.select(lattice, "horizontal", azimuth=away)
+    return MuscleLayout(layout.switched(mask).active)
+
+
+def named_layout(name: str, lattice: Lattice) -> MuscleLayout:
+    """Layout by name: "extension" (rings), "compression" (vertical), "bending" or "all" (rings and vertical)."""
+    if not isinstance(name, str) or name not in LAYOUTS:
+        choices = f"{', '.join(LAYOUTS)}, a MuscleLayout or its dict form"
+        raise ValueError(f"muscles = {shown(name)}: must be one of {choices}")
+    if name == "extension":
+        return horizontal(lattice)
+    if name == "compression":
+        return vertical(lattice)
+    if name == "bending":
+        return bending_layout(lattice)
+    return horizontal(lattice) | vertical(lattice)
+
+
+def resolve_layout(muscles: str | MuscleLayout | Mapping[str, Any], lattice: Lattice) -> MuscleLayout:
+    """Layout from a name, an object or a dict, checked against the lattice."""
+    if isinstance(muscles, str):
+        return named_layout(muscles, lattice)
+    layout = muscles if isinstance(muscles, MuscleLayout) else MuscleLayout.from_dict(muscles)
+    start, end = _sites(layout.muscles, lattice).T
+    level, apart = lattice.site_level, np.abs(wrap_angle(lattice.site_azimuth[start] - lattice.site_azimuth[end]))
+    on_ring = (level[start] == level[end]) & (level[start] >= 0)
+    in_column = (level[start] != level[end]) & (apart <= AZIMUTH_TOLERANCE)
+    for muscle, ring, column in zip(layout.muscles, on_ring, in_column, strict=True):
+        if not {"horizontal": ring, "vertical": column, "custom": True}[muscle.orientation]:
+            raise ValueError(
+                f"muscles: {muscle} is not {muscle.orientation} in this lattice: a horizontal muscle ties sites of one"
+                " level, a vertical one sites of one azimuth; a custom one ties any two"
+            )
+    return layout
+
+
+def control_groups(control: str | Sequence[int] | IntArray, layout: MuscleLayout, lattice: Lattice) -> IntArray:
+    """Group that drives each active muscle, shape (len(layout),); groups count from 0.
+
+    "muscle": each its own. "ring": one a level (the lower of a muscle's two) and orientation. "column": one an azimuth
+    (of the muscle's middle) and orientation. Or any partition: the group of each active muscle, every group used.
+    """
+    muscles = layout.active
+    if not muscles:
+        raise ValueError("muscles: at least one muscle must be on to be controlled")
+    if not isinstance(control, str):
+        return _partition(control, len(muscles))
+    if control not in CONTROLS:
+        raise ValueError(f"control = {control!r}: must be one of {', '.join(CONTROLS)} or a sequence of groups")
+    if control == "muscle":
+        return np.arange(len(muscles), dtype=np.int64)
+    sites = _sites(muscles, lattice)
+    orientation = np.array([ORIENTATIONS.index(muscle.orientation) for muscle in muscles])
+    if control == "ring":
+        if lattice.n_level == 0:
+            raise ValueError(
+                'control = "ring": the lattice has uneven phases and no levels; choose "muscle" or "column"'
+            )
+        place = lattice.site_level[sites].min(axis=1)
+    else:
+        place = _columns(lattice.site_azimuth[sites])
+    return np.unique(np.stack([orientation, place], axis=1), axis=0, return_inverse=True)[1].astype(np.int64)
+
+
+def _number(name: str, value: object) -> float:
+    number = finite_number(value)
+    if number is None:
+        raise ValueError(f"{name} = {shown(value)}: must be a finite number [rad]")
+    return number
+
+
+def _each(name: str, values: Iterable[Any]) -> Iterable[Any]:
+    if isinstance(values, Iterable) and not isinstance(values, str | bytes | type) and getattr(values, "ndim", 1) > 0:
+        return values
+    raise ValueError(f"{name} = {shown(values)}: must be a sequence")
+
+
+def _pair(name: str, value: Sequence[Any]) -> tuple[Any, Any]:
+    if (
+        isinstance(value, Sequence | np.ndarray)
+        and not isinstance(value, str)
+        and getattr(value, "ndim", 1) > 0
+        and len(value) == 2
+    ):
+        return value[0], value[1]
+    raise ValueError(f"{name}: {shown(value)} must be a pair")
+
+
+def _need_lattice(lattice: Lattice) -> None:
+    if not isinstance(lattice, Lattice):
+        raise ValueError(f"lattice = {shown(lattice)}: must be a Lattice, such as build_lattice(design) gives")
+
+
+def _need_levels(name: str, lattice: Lattice) -> None:
+    _need_lattice(lattice)
+    if lattice.n_level == 0:
+        raise ValueError(f"{name}: a lattice with uneven phases has no levels; tie its sites by hand with tie()")
+
+
+def _levels(name: str, levels: Iterable[int], lattice: Lattice) -> list[int]:
+    """Levels without repetition, each one of the lattice's."""
+    checked = list(dict.fromkeys(_index(name, level) for level in _each(name, levels)))
+    for level in checked:
+        if level >= lattice.n_level:
+            raise ValueError(f"{name} holds {level}: the lattice has levels 0 to {lattice.n_level - 1}")
+    return checked
+
+
+def _sites(muscles: Sequence[Muscle], lattice: Lattice) -> IntArray:
+    """Start and end sites, shape (n, 2), each one of the lattice's."""
+    _need_lattice(lattice)
+    sites = np.array([(muscle.start, muscle.end) for muscle in muscles], dtype=np.int64).reshape(-1, 2)
+    if sites.size and sites.max() >= lattice.n_site:
+        raise ValueError(f"muscles: site {sites.max()} does not exist; the lattice has sites 0 to {lattice.n_site - 1}")
+    return sites
+
+
+def _partition(control: Sequence[int] | IntArray, n_muscle: int) -> IntArray:
+    groups = [_index("control", group) for group in _each("control", control)]
+    if len(groups) != n_muscle:
+        raise ValueError(f"control has {len(groups)} entries: must have one for each of the {n_muscle} active muscles")
+    used = sorted(set(groups))
+    unused = [expected for expected, group in enumerate(used) if expected != group]
+    if unused:
+        raise ValueError(f"control: group {unused[0]} drives no muscle; groups must be 0 to n - 1, each used")
+    return np.array(groups, dtype=np.int64)
+
+
+def _columns(azimuth: FloatArray) -> IntArray:
+    """Column of each muscle: those whose middles share an azimuth; azimuths of both ends [rad], shape (n, 2)."""
+    start, end = azimuth.T
+    middle = (start + wrap_angle(end - start) / 2) % TURN
+    order = np.argsort(middle, kind="stable")
+    column = np.empty(len(middle), dtype=np.int64)
+    column[order] = np.cumsum(np.diff(middle[order], prepend=middle[order[0]]) > AZIMUTH_TOLERANCE)
+    if middle[order[0]] + TURN - middle[order[-1]] <= AZIMUTH_TOLERANCE:
+        column[column == column.max()] = 0
+    return column

@@ -1,0 +1,1 @@
+"""The compiled engine: worms side by side in lanes, packs and threads."""

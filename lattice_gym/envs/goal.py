@@ -1,0 +1,72 @@
+"""The environment whose goals are observed apart, for hindsight replay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lattice_gym.checks import FloatArray, shown
+from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.tasks.base import GoalTask
+from lattice_gym.tasks.registry import TASKS
+
+
+class LatticeWormGoalEnv(LatticeWormEnv):
+    """A `LatticeWormEnv` whose goals are observed apart, as hindsight replay wants it; for tasks that have goals.
+
+    Its observation is a Dict: "observation" is that of `LatticeWormEnv` without what the task commands, "achieved_goal"
+    and "desired_goal" are Boxes. Goals of reach are the displacement of the top's centre from rest (x, y, z), in units
+    of 0.2 height, within +-10. All else is as in `LatticeWormEnv`; `LatticeWormReachGoal-v0` is its id.
+
+    Give a `HerReplayBuffer` `copy_info_dict=True`: without infos `compute_reward` knows neither effort nor divergence,
+    and a relabelled transition that diverged is paid its plain approach instead of the penalty.
+    """
+
+    _goals_apart = True
+
+    def __init__(self, task: str = "reach", **arguments: Any) -> None:
+        if isinstance(task, str) and task in TASKS and not issubclass(TASKS[task], GoalTask):
+            having = ", ".join(name for name, kind in TASKS.items() if issubclass(kind, GoalTask))
+            raise ValueError(f"task = {task!r}: has no goals; those that do: {having}")
+        super().__init__(task, **arguments)
+
+    def compute_reward(
+        self, achieved_goal: npt.NDArray[Any], desired_goal: npt.NDArray[Any], info: Any
+    ) -> float | FloatArray:
+        """Reward of a step with these goals: exactly that of `step` where they are its own.
+
+        Goals of shape (n_goal,) and the `info` of the step give a float; (n, n_goal) and n infos, or one for all, give
+        shape (n,). The terms that goals do not decide are taken from `reward_terms`; infos without it, and None, count
+        the goals alone.
+        """
+        own, reward = self._goal_task.goal_term, self._goal_task.goal_reward(achieved_goal, desired_goal)
+        single = np.ndim(reward) == 0
+        terms = [entry.get("reward_terms", {}) for entry in _infos(info, np.size(reward))]
+        others = np.array([float(sum(value for name, value in entry.items() if name != own)) for entry in terms])
+        diverged = np.array([entry.get("divergence", 0.0) != 0.0 for entry in terms], dtype=bool)
+        if len(terms) > 1:
+            others, diverged = others.reshape(np.shape(reward)), diverged.reshape(np.shape(reward))
+        total: FloatArray = np.where(diverged, others, reward + others)
+        return float(total.item()) if single else total
+
+    @property
+    def _goal_task(self) -> GoalTask:
+        assert isinstance(self.task, GoalTask)
+        return self.task
+
+
+def _infos(info: Any, count: int) -> list[Mapping[str, Any]]:
+    """One info for each goal, or one for all; None is one that says nothing."""
+    try:
+        given = [info] if info is None or isinstance(info, Mapping) else list(info)
+    except TypeError:
+        given = [info]
+    infos: list[Mapping[str, Any]] = [{} if entry is None else entry for entry in given]
+    if not all(isinstance(entry, Mapping) for entry in infos):
+        raise ValueError(f"info = {shown(info)}: must be a mapping, None or a sequence of them")
+    if len(infos) != count and not isinstance(info, Mapping | None):
+        raise ValueError(f"info: must be one mapping, or as many as there are goals, {count}, got {len(infos)}")
+    return infos

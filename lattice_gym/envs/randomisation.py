@@ -1,0 +1,88 @@
+"""Factors by which worms differ from their design and from each other, drawn anew for every episode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from lattice_gym.checks import FloatArray, finite_number, shown
+from lattice_gym.physics.assembly import RodModel
+
+BODY = ("structure_youngs_modulus", "muscle_youngs_modulus", "damping")
+"""What changes the body; elastic and shear moduli go together, and so do damping and rotational damping."""
+NAMES = (*BODY, "max_tension", "strength")
+LEAST_FACTOR, MOST_FACTOR = 0.01, 100.0
+"""Bounds of every factor."""
+
+Factors = Mapping[str, float | FloatArray]
+"""Factors of a worm by name; that of "strength" holds one for each muscle, shape (n_muscle,)."""
+
+
+@dataclass(frozen=True)
+class Randomisation:
+    """Ranges that factors are drawn from, uniformly."""
+
+    ranges: Mapping[str, tuple[float, float]]
+    """Least and most of each factor, by its name."""
+
+    @classmethod
+    def resolve(cls, given: object) -> Randomisation | None:
+        """Ranges from a mapping of names to pairs; None and an empty one are none.
+
+        Raises
+        ------
+        ValueError
+            Another name, or what is no pair of factors, the lower first, from 0.01 to 100.
+        """
+        if given is None:
+            return None
+        if not isinstance(given, Mapping):
+            raise ValueError(f"randomise = {shown(given)}: must be a mapping of names to pairs of factors, or None")
+        ranges = {}
+        for name, pair in given.items():
+            if name not in NAMES:
+                raise ValueError(f"randomise: there is no {name!r}; there are {', '.join(NAMES)}")
+            ends = [finite_number(end) for end in pair] if isinstance(pair, list | tuple | np.ndarray) else []
+            low, high = (-1.0 if end is None else end for end in ends) if len(ends) == 2 else (-1.0, -1.0)
+            if not LEAST_FACTOR <= low <= high <= MOST_FACTOR:
+                raise ValueError(
+                    f"randomise[{name!r}] = {shown(pair)}: must be a pair of factors from {LEAST_FACTOR:g} to "
+                    f"{MOST_FACTOR:g}, the lower first"
+                )
+            ranges[name] = (low, high)
+        return cls(ranges) if ranges else None
+
+    @property
+    def strongest(self) -> float:
+        """Largest factor on the tension of a muscle."""
+        return float(np.prod([self.ranges[name][1] for name in ("max_tension", "strength") if name in self.ranges]))
+
+    def draw(self, rng: np.random.Generator, n_muscle: int) -> dict[str, float | FloatArray]:
+        """Factors of one worm."""
+        factors: dict[str, float | FloatArray] = {}
+        for name in NAMES:
+            # Drawn whether used or not, so that one more range leaves the other factors as they were.
+            share = rng.random(n_muscle) if name == "strength" else rng.random()
+            if name in self.ranges:
+                low, high = self.ranges[name]
+                factors[name] = low + share * (high - low)
+        return factors
+
+    def corners(self, model: RodModel) -> list[RodModel]:
+        """Bodies at all ends of the ranges."""
+        ranges = {name: sorted(set(self.ranges[name])) for name in BODY if name in self.ranges}
+        return [varied(model, dict(zip(ranges, ends, strict=True))) for ends in product(*ranges.values())]
+
+
+def varied(model: RodModel, factors: Factors) -> RodModel:
+    """Return the assembly with the factors on its body."""
+    structure, muscle, damping = (float(factors.get(name, 1.0)) for name in BODY)
+    return model.scaled(structure, muscle, damping)
+
+
+def pull(factors: Factors) -> float | FloatArray:
+    """Factor on the tension of every muscle, shape (n_muscle,) or ()."""
+    return factors.get("max_tension", 1.0) * factors.get("strength", 1.0)

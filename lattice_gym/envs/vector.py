@@ -1,0 +1,338 @@
+"""Worms side by side: the vector environment that `gymnasium.make_vec` gives for every id of this package."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, NoReturn, SupportsIndex
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from lattice_gym.checks import FloatArray, IntArray, shown, whole_number
+from lattice_gym.envs.env import OK, LatticeWormEnv, clipped_command, seed_of
+from lattice_gym.envs.goal import LatticeWormGoalEnv
+from lattice_gym.envs.observation import Observation
+from lattice_gym.envs.randomisation import varied
+from lattice_gym.physics.state import Motion
+
+Mask = npt.NDArray[np.bool_]
+"""Of shape (num_envs,)."""
+
+
+class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[Any]]):
+    """Many worms of one kind in one process, in compiled threads; `LatticeWormEnv` says what each of them is.
+
+    To the last bit it gives what `gymnasium.vector.SyncVectorEnv` gives of as many single environments, but for two
+    things. `info["outcome"]` is there only for worms whose episode ends with the step (and masked by
+    `info["_outcome"]`, as ever), for its waves cost more than all else; `outcome` gives that of all worms at any time.
+    And actions must be sound in every row, also in those of worms that are reset in this step.
+
+    Seeds, resets by `options["reset_mask"]`, masks of infos, `final_obs` and `final_info` are as in `SyncVectorEnv`. A
+    worm whose physics diverges ends alone; no other changes by it. `render` gives a tuple of pictures, one a worm. It
+    can be neither pickled nor copied.
+
+    Commanded numbers in options are for all worms, a list is one to draw from for each, and an array of shape
+    (num_envs,) holds one for each.
+
+    Parameters
+    ----------
+    num_envs
+        Number of worms.
+    max_episode_steps
+        Steps after which an episode is truncated; None: never. `gymnasium.make_vec` gives that of the id.
+    autoreset_mode
+        `gymnasium.vector.AutoresetMode` or its value: when a worm whose episode has ended is reset, at the next step
+        (whose action it ignores), at once, or only by `reset`. Of both only the value can be written as JSON.
+    num_threads
+        Threads that advance worms; None: as many as there are processors for this process.
+    arguments
+        As of `LatticeWormEnv`; an EnvSpec survives JSON as there.
+
+    Raises
+    ------
+    ValueError
+        An argument that cannot be used; it is named.
+    gymnasium.error.ResetNeeded
+        A step before the first reset, or of a worm that has ended and does not reset itself.
+    """
+
+    _single: ClassVar[type[LatticeWormEnv]] = LatticeWormEnv
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        num_threads: int | None = None,
+        **arguments: Any,
+    ) -> None:
+        self.num_envs = _count("num_envs", num_envs)
+        self._limit = None if max_episode_steps is None else _count("max_episode_steps", max_episode_steps)
+        if num_threads is not None:
+            _count("num_threads", num_threads)
+        try:
+            self._mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            modes = ", ".join(repr(mode.value) for mode in AutoresetMode)
+            raise ValueError(f"autoreset_mode = {shown(autoreset_mode)}: must be one of {modes}") from None
+        one = self._one = self._single(**arguments)
+        self.metadata = {**one.metadata, "autoreset_mode": self._mode}
+        self.render_mode = one.render_mode
+        self.single_action_space, self.single_observation_space = one.action_space, one.observation_space
+        self.action_space = batch_space(one.action_space, self.num_envs)
+        self.observation_space = batch_space(one.observation_space, self.num_envs)
+        self._episodes, self._start = one.episodes(self.num_envs), one.start
+        from lattice_gym.engines.batch import BatchEngine  # compiled code, which the package does not load unasked
+
+        self._engine = BatchEngine(
+            [one.model] * self.num_envs,
+            one.dt,
+            one.splitting,
+            engine=one.engine_name,
+            energy_check=one.energy_check,
+            step_check=one.step_check,
+            num_threads=num_threads,
+        )
+        self._random = [seeding.np_random(None) for _ in range(self.num_envs)]
+        self._seen: Observation = None
+        self._ended = np.zeros(self.num_envs, dtype=np.bool_)
+        self._failed = np.zeros(self.num_envs, dtype=np.bool_)
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """Generator of every worm."""
+        return tuple(generator for generator, _ in self._random)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """Seed of every worm's generator."""
+        return tuple(seed for _, seed in self._random)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode of every worm, or of those in `options["reset_mask"]`.
+
+        Parameters
+        ----------
+        seed
+            Of the first worm, and one more for each after it; or a list, one a worm; None goes on drawing.
+        options
+            Commanded numbers by name for these episodes, and `reset_mask`: bool, shape (num_envs,).
+        """
+        seeds, (mask, given) = self._seeds(seed), self._options(options)
+        if self._seen is None and not mask.all():
+            raise gymnasium.error.ResetNeeded("reset() must be called without a reset_mask first")
+        for worm in _worms(mask):
+            self._episodes.task.check(given[worm])
+        infos: dict[str, Any] = {}
+        for worm in _worms(mask):
+            if seeds[worm] is not None:
+                self._random[worm] = seeding.np_random(seeds[worm])
+            infos = self._add_info(infos, self._begin(worm, given[worm]), worm)
+        self._ended = self._ended & ~mask
+        seen, _ = self._episodes.observe(self._motion)
+        self._seen = seen if mask.all() else _merged(mask, seen, self._seen)
+        return _copied(self._seen), infos
+
+    def step(self, actions: npt.ArrayLike) -> tuple[Observation, FloatArray, Mask, Mask, dict[str, Any]]:
+        """Advance every worm by `control_dt`, but for those that are reset instead."""
+        if self._seen is None:
+            raise gymnasium.error.ResetNeeded("reset() must be called first")
+        command, n_clipped = clipped_command(actions, (self.num_envs, *self._one.action_space.shape))
+        if self._mode is AutoresetMode.DISABLED and self._ended.any():
+            worms = _worms(self._ended)
+            raise gymnasium.error.ResetNeeded(f"worms {worms} have ended and must be reset first")
+        live = ~self._ended
+        sound = live & self._advance(command)
+        self._failed, episodes = live & ~sound, self._episodes
+        terms, over = episodes.score(self._motion, sound)
+        reward = np.where(live, sum(terms.values()), 0.0)
+        terminated, n_step = over & live, episodes.n_step + self._failed
+        truncated: Mask = live & (n_step >= self._limit) if self._limit else np.zeros_like(live)
+        ended = terminated | truncated
+        outcome = self._outcome_of(ended.nonzero()[0])
+        resets = {worm: self._begin(worm, None) for worm in _worms(~live)}
+        seen, n_beyond = episodes.observe(self._motion)
+        # Not before the last sound moment was observed.
+        episodes.n_step += self._failed
+        told: dict[str, Any] = {"reward_terms": terms, "status": self._status(), "clipped_actions": n_clipped}
+        told |= {"clipped_observations": n_beyond} | self._strength_info()
+        if self._mode is AutoresetMode.SAME_STEP and ended.any():
+            infos = _masked(told, live & ~ended) | self._final(seen, ended)
+            infos["final_info"] = _masked(told, ended) | _masked({"outcome": outcome}, ended)
+            resets = {worm: self._begin(worm, None) for worm in _worms(ended)}
+            seen, _ = episodes.observe(self._motion)
+        else:
+            infos = _masked(told, live) | _masked({"outcome": outcome}, ended)
+            self._ended = ended
+        for worm, info in resets.items():
+            infos = self._add_info(infos, info, worm)
+        self._seen = seen
+        return _copied(seen), reward, terminated, truncated, infos
+
+    def outcome(self) -> dict[str, FloatArray]:
+        """Return what the motion of every worm came to by now, shape (num_envs,) each; see `LatticeWormEnv`."""
+        return self._outcome_of(np.arange(self.num_envs))
+
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        """Pictures of the worms now, shape (480, 640, 3) each; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        return tuple(self._one.picture(self._episodes, self._motion, worm) for worm in range(self.num_envs))
+
+    def close_extras(self, **_: Any) -> None:
+        """Free threads and the renderer."""
+        self._engine.close()
+        self._one.close()
+
+    def __reduce_ex__(self, _: SupportsIndex) -> NoReturn:
+        """Refuse to be pickled or copied: the parts of the physics share arrays, which a copy would not."""
+        raise TypeError(f"{type(self).__name__}: can be neither pickled nor copied")
+
+    @property
+    def _motion(self) -> Motion:
+        engine = self._engine
+        return Motion(engine.position, engine.velocity, engine.bolus_position, engine.bolus_velocity)
+
+    def _advance(self, command: FloatArray) -> Mask:
+        """Advance all worms but those that are to be reset, and tell which of them are sound."""
+        if self._ended.all():
+            return ~self._ended
+        tension = self._episodes.tension(command)
+        if self._ended.any():
+            for worm in _worms(self._ended & self._failed):
+                self._engine.restore(worm, self._start)
+            tension[:, self._ended] = 0.0
+        sound: Mask = self._engine.advance(tension, self._one.n_substeps) == 0
+        return sound
+
+    def _begin(self, worm: int, options: Mapping[str, object] | None) -> dict[str, Any]:
+        """Start an episode of a worm, and tell of it as a single environment does."""
+        factors = self._episodes.begin(self._random[worm][0], options, worm)
+        if factors:
+            self._engine.replace(worm, varied(self._one.model, factors))
+        self._engine.restore(worm, self._start)
+        strength = {name: values[worm] for name, values in self._strength_info().items()}
+        told = {"factors": dict(factors)} if factors else {}
+        return {"command": self._episodes.task.command_of(worm), "status": OK} | told | strength
+
+    def _strength_info(self) -> dict[str, FloatArray]:
+        strength = self._episodes.strength
+        return {} if strength is None else {"strength": strength}
+
+    def _status(self) -> npt.NDArray[np.object_]:
+        """How the step went for every worm."""
+        status = np.full(self.num_envs, OK, dtype=object)
+        for worm in _worms(self._failed):
+            status[worm] = str(self._engine.health(worm))
+        return status
+
+    def _outcome_of(self, worms: IntArray) -> dict[str, FloatArray]:
+        """Outcome of some worms, by name and with a row for every worm; nothing at all without any."""
+        if not worms.size:
+            return {}
+        outcome = {}
+        for name, values in self._episodes.task.outcome(self._motion.rows(worms), worms).items():
+            outcome[name] = np.zeros(self.num_envs)
+            outcome[name][worms] = values
+        return outcome
+
+    def _final(self, seen: Observation, ended: Mask) -> dict[str, Any]:
+        """Last observations of episodes that have ended."""
+        final = np.full(self.num_envs, None, dtype=object)
+        for worm in _worms(ended):
+            final[worm] = {name: part[worm] for name, part in seen.items()} if isinstance(seen, dict) else seen[worm]
+        return {"final_obs": final, "_final_obs": ended.copy(), "_final_info": ended.copy()}
+
+    def _seeds(self, seed: object) -> list[int | None]:
+        """Seed of every worm."""
+        if isinstance(seed, list | tuple) or (isinstance(seed, np.ndarray) and seed.ndim > 0):
+            if len(seed) != self.num_envs:
+                raise ValueError(f"seed: must be one number, or {self.num_envs}, one a worm, got {len(seed)}")
+            return [None if one is None else seed_of(one) for one in seed]
+        if seed is None:
+            return [None] * self.num_envs
+        return [seed_of(seed) + worm for worm in range(self.num_envs)]
+
+    def _options(self, options: dict[str, Any] | None) -> tuple[Mask, list[dict[str, Any] | None]]:
+        """Worms to reset, and the options of every worm."""
+        mask = np.ones(self.num_envs, dtype=np.bool_)
+        if not isinstance(options, Mapping):
+            return mask, [options] * self.num_envs
+        given = dict(options)
+        if "reset_mask" in given:
+            mask = given.pop("reset_mask")
+            fits = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)
+            if not (fits and mask.any()):
+                raise ValueError(
+                    f"options['reset_mask'] = {shown(mask)}: must be an array of bool of shape ({self.num_envs},), "
+                    "with at least one worm in it"
+                )
+        each = [name for name, value in given.items() if isinstance(value, np.ndarray) and value.ndim > 0]
+        for name in each:
+            if given[name].shape != (self.num_envs,):
+                raise ValueError(
+                    f"options[{name!r}]: an array must hold one number a worm, shape ({self.num_envs},), got "
+                    f"{given[name].shape}"
+                )
+        own = {name: given[name].tolist() for name in each}
+        return mask, [given | {name: own[name][worm] for name in each} for worm in range(self.num_envs)]
+
+
+class LatticeWormGoalVectorEnv(LatticeWormVectorEnv):
+    """A `LatticeWormVectorEnv` of `LatticeWormGoalEnv`s: goals are observed apart, in a dict of three arrays."""
+
+    _single = LatticeWormGoalEnv
+
+    def compute_reward(
+        self, achieved_goal: npt.NDArray[Any], desired_goal: npt.NDArray[Any], info: Any
+    ) -> float | FloatArray:
+        """Rewards of steps with these goals, as `LatticeWormGoalEnv.compute_reward` with infos of single worms."""
+        assert isinstance(self._one, LatticeWormGoalEnv)
+        return self._one.compute_reward(achieved_goal, desired_goal, info)
+
+
+def _count(name: str, value: object) -> int:
+    count = whole_number(value)
+    if count is None or count < 1:
+        raise ValueError(f"{name} = {shown(value)}: must be a whole number, at least 1")
+    return count
+
+
+def _worms(mask: Mask) -> list[int]:
+    """Return the indices of some worms."""
+    worms: list[int] = mask.nonzero()[0].tolist()
+    return worms
+
+
+def _masked(values: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
+    """Infos of some worms as gymnasium has them: arrays with a mask each; nothing where there are none."""
+    if not rows.any():
+        return {}
+    whole, infos = bool(rows.all()), dict[str, Any]()
+    for name, value in values.items():
+        if isinstance(value, dict):
+            infos[name] = _masked(value, rows)
+        elif whole:
+            infos[name] = value
+        else:
+            infos[name] = np.zeros_like(value) if value.dtype != object else np.full(value.shape, None, dtype=object)
+            infos[name][rows] = value[rows]
+        infos[f"_{name}"] = rows.copy()
+    return infos
+
+
+def _merged(rows: Mask, new: Observation, old: Observation) -> Observation:
+    """Observations, new ones in some rows."""
+    if isinstance(new, dict):
+        return {name: _merged(rows, part, old[name]) for name, part in new.items()}
+    return np.where(rows[:, None], new, old)
+
+
+def _copied(seen: Observation) -> Observation:
+    return {name: part.copy() for name, part in seen.items()} if isinstance(seen, dict) else seen.copy()

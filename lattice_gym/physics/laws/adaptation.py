@@ -1,0 +1,181 @@
+"""How the strength of a muscle changes with use: growth, and as its opposite fatigue and recovery."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from lattice_gym.checks import Bounds, FloatArray, Part, finite_number, real_array, shown
+
+MODES = ("continuous", "episode")
+
+
+@dataclass(frozen=True, eq=False)
+class Strength:
+    """Strength of every muscle over that of a fresh, untrained one, and what its use was: shape (..., n_muscle)."""
+
+    grown: FloatArray
+    """Factor by growth, from 1 to the cap."""
+    fresh: FloatArray
+    """Share that is not fatigued, from 0 to 1."""
+    strained: FloatArray
+    """Size of the strain, added up over the episode [s]; only with the mode "episode"."""
+    loaded: FloatArray
+    """Tension, added up over the episode [N s]; only with the mode "episode"."""
+    time: FloatArray | float = 0.0
+    """Time over which they were added up [s], shape (...,)."""
+
+    @property
+    def factor(self) -> FloatArray:
+        """Factor on the tension."""
+        return self.grown * self.fresh
+
+    def row(self, worm: int) -> Strength:
+        """Strength of one of several worms."""
+        parts = (self.grown, self.fresh, self.strained, self.loaded)
+        time = np.broadcast_to(self.time, self.grown.shape[:1])
+        return Strength(*(part[worm] for part in (*parts, time)))
+
+    def where(self, changed: npt.NDArray[np.bool_], other: Strength) -> Strength:
+        """Strength of worms of which some, shape (n_worm,), have changed to another."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Strength(*(np.where(changed if np.ndim(old) < 2 else changed[:, None], new, old) for old, new in pairs))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Adaptation(Part):
+    """How use changes the strength of muscles; by default it does not.
+
+    Growth: once an episode a strength is multiplied by
+
+        alpha = 1 + strain_gain |strain| + force_gain tension
+
+    and capped, with the means of strain and tension over the episode. That is the law that notes of a third party
+    ascribe to Schaffer, Pamu and Webster-Wood (2024, arXiv 2408.16069), with gains of 1e-6 and 4e-8 in units they do
+    not give and a cap of 2; the paper itself could not be checked. The mode "continuous" multiplies by
+    alpha^(t / episode) after every control step t instead, with that step's strain and tension: under constant use over
+    one nominal episode both come to the same.
+
+    Fatigue: of the motor units, all those that are not fatigued work as far as they are activated (a), and
+
+        d fresh / dt = -fatigue_rate a fresh + recovery_rate (1 - fresh)
+
+    This is the flow between active and fatigued units of Liu, Brown and Yue (2002, Biophys. J. 82:2344) and of Xia and
+    Frey Law (2008, J. Biomech. 41:3046), where recruitment takes no time. Constant use leads towards
+    recovery_rate / (fatigue_rate a + recovery_rate); rest restores with the time constant 1 / recovery_rate. Over a
+    control step it is solved exactly for its mean activation.
+
+    The strength is the product of both, held within a control step. Raises ValueError for a field out of bounds.
+    """
+
+    bounds: ClassVar[Bounds] = {
+        "strain_gain": (0.0, 1e6, "1"),
+        "force_gain": (0.0, 1e6, "1/N"),
+        "cap": (1.0, 1e3, "1"),
+        "episode": (1e-3, 1e9, "s"),
+        "fatigue_rate": (0.0, 1e3, "1/s"),
+        "recovery_rate": (0.0, 1e3, "1/s"),
+    }
+
+    strain_gain: float = 0.0
+    """Growth by strain [1]."""
+    force_gain: float = 0.0
+    """Growth by tension [1/N]."""
+    cap: float = 2.0
+    """Most that growth comes to, over the strength of an untrained muscle."""
+    mode: str = "continuous"
+    """When muscles grow: "continuous", or "episode", at the reset that follows it (which needs `carry`)."""
+    episode: float = 10.0
+    """Nominal length of an episode [s], in the mode "continuous"."""
+    fatigue_rate: float = 0.0
+    """[1/s]"""
+    recovery_rate: float = 0.0
+    """[1/s]"""
+    carry: bool = False
+    """Keep strengths over a reset; otherwise every episode begins with fresh, untrained muscles."""
+    observed: bool = False
+    """Observe the strength of every muscle."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.mode, str) or self.mode not in MODES:
+            raise ValueError(f"Adaptation.mode = {shown(self.mode)}: must be one of {', '.join(MODES)}")
+        for name in ("carry", "observed"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"Adaptation.{name} = {shown(getattr(self, name))}: must be True or False")
+        if self.mode == "episode" and not self.carry:
+            raise ValueError(
+                'Adaptation.carry = False: the mode "episode" changes strengths at the reset, and needs it'
+            )
+
+    @property
+    def most(self) -> float:
+        """Largest strength there can be."""
+        return self.cap if self.strain_gain > 0.0 or self.force_gain > 0.0 else 1.0
+
+    def untrained(self, shape: int | tuple[int, ...]) -> Strength:
+        """Strength of fresh, untrained muscles: their number, or (..., n_muscle)."""
+        grown = np.ones(shape)
+        return Strength(grown, grown.copy(), 0.0 * grown, 0.0 * grown, np.zeros(grown.shape[:-1]))
+
+    def used(
+        self,
+        strength: Strength,
+        activation: npt.ArrayLike,
+        tension: npt.ArrayLike,
+        strain: npt.ArrayLike,
+        duration: float,
+    ) -> Strength:
+        """Strength after constant use over some time.
+
+        Parameters
+        ----------
+        strength
+            Strength before.
+        activation, tension, strain
+            Of every muscle, shape as the strength's: in [0, 1], not negative [N], and length over rest length less 1.
+        duration
+            [s]
+
+        Raises
+        ------
+        ValueError
+            A use of another shape, or out of bounds.
+        """
+        given = [real_array(name, value) for name, value in
+                 (("activation", activation), ("tension", tension), ("strain", strain))]  # fmt: skip
+        for name, array in zip(("activation", "tension", "strain"), given, strict=True):
+            if array.shape != strength.grown.shape:
+                raise ValueError(f"{name}: shape must be {strength.grown.shape}, got {array.shape}")
+        active, load, strained = given[0], given[1], np.abs(given[2])
+        if (active < 0.0).any() or (active > 1.0).any():
+            raise ValueError("activation: must be from 0 to 1")
+        if (load < 0.0).any():
+            raise ValueError("tension: must not be negative [N]")
+        if (time := finite_number(duration)) is None or time < 0.0:
+            raise ValueError(f"duration = {shown(duration)}: must be finite and not negative [s]")
+        rate = self.fatigue_rate * active + self.recovery_rate
+        goal = np.where(rate > 0.0, self.recovery_rate / np.where(rate > 0.0, rate, 1.0), strength.fresh)
+        fresh = goal + (strength.fresh - goal) * np.exp(-rate * time)
+        if self.mode == "episode":
+            sums = strength.strained + time * strained, strength.loaded + time * load
+            return Strength(strength.grown, fresh, *sums, strength.time + time)
+        return replace(strength, grown=self._grown(strength.grown, strained, load, time / self.episode), fresh=fresh)
+
+    def begun(self, strength: Strength) -> Strength:
+        """Strength with which the next episode begins, of one worm."""
+        n_muscle = len(strength.grown)
+        if not self.carry:
+            return self.untrained(n_muscle)
+        if strength.time == 0.0:
+            return strength
+        grown = self._grown(strength.grown, strength.strained / strength.time, strength.loaded / strength.time, 1.0)
+        return replace(self.untrained(n_muscle), grown=grown, fresh=strength.fresh)
+
+    def _grown(self, grown: FloatArray, strain: FloatArray, tension: FloatArray, episodes: float) -> FloatArray:
+        with np.errstate(over="ignore"):  # What overflows is capped.
+            alpha = 1.0 + self.strain_gain * strain + self.force_gain * tension
+            return np.minimum(grown * alpha**episodes, self.cap)

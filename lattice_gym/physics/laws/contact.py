@@ -1,0 +1,152 @@
+"""Where rods touch each other: the law in plain numpy, for the ledger, for the reference engine and for tests.
+
+Every element of a rod that is no muscle is a cylinder of its rest radius with round ends, and pushes at those of other
+rods. Where two overlap by a depth, with u_n the speed at which the nearest points of their centre lines part,
+
+    N = max(0, stiffness depth - damping u_n)
+
+acts on either along the line through these points, shared between its two nodes by the lever rule: momentum and angular
+momentum close. There is no friction. Where rods cross they are joined, and lie in each other: elements of joined rods
+that are near each other at rest never touch, see `MARGIN`, nor do any that overlap at rest. A rod does not touch
+itself, and muscles, which lie on the crossings, touch nothing.
+
+The stiffness is that of a pair: rods that touch node on node, where two elements meet, are held by four, within
+elements by one, and rods that run along each other by the more the finer the mesh. The nearest point of rods that are
+all but parallel jumps from end to end of an element as they tilt: the energy is then continuous, but not the force's
+lever. Once centre lines have crossed, the push is the other way: the law holds as long as depths stay below the reach.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.physics.assembly import RodModel
+
+PARALLEL = 1e-12
+"""Square of the sine of the angle between two elements below which they touch in the middle of where they run along
+each other: the nearest points are lost in rounding there. Depths jump by that sine times a length, and energy with
+them, so that the bound has to be this small."""
+
+MARGIN = 0.61
+"""How much further apart than their radii elements of joined rods must be at rest to touch at all, over the radii.
+
+Nearer than that they belong to a crossing, where contact is switched off: it must close until rods come 1.61 times as
+near before they touch. At a margin of 0 the first elements beyond a crossing touch as soon as it closes by any angle,
+and how much that stiffens it is a matter of the mesh. As whole elements are left out, the mesh still shows where rods
+press each other: by where beyond a crossing the first element begins. No round number: elements often lie at simple
+multiples of a radius, and rounding would then decide which of them touch.
+"""
+
+_ROUNDING = 1e-9
+"""Depth of overlap over the radii that counts as none at rest."""
+
+_AT_A_TIME = 100_000
+"""Pairs that are tried together: some tens of megabytes."""
+
+
+def nearest(a: FloatArray, along_a: FloatArray, b: FloatArray, along_b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Shares of two segments at which they are nearest, shape (n,) each, 0 at the starts a and b and 1 at the ends.
+
+    The least of a convex function on a square: inside it, where that is within, else on the nearest of four sides.
+    """
+    square_a, square_b = np.sum(along_a**2, axis=1), np.sum(along_b**2, axis=1)
+    both, gap = np.sum(along_a * along_b, axis=1), b - a
+
+    def on_a(t: FloatArray | float) -> FloatArray:
+        share: FloatArray = np.clip((np.sum(gap * along_a, axis=1) + t * both) / square_a, 0.0, 1.0)
+        return share
+
+    def on_b(s: FloatArray | float) -> FloatArray:
+        share: FloatArray = np.clip((s * both - np.sum(gap * along_b, axis=1)) / square_b, 0.0, 1.0)
+        return share
+
+    zero, one = np.zeros(len(a)), np.ones(len(a))
+    first = np.stack([zero, one, on_a(0.0), on_a(1.0)])
+    second = np.stack([on_b(0.0), on_b(1.0), zero, one])
+    apart = gap + second[..., None] * along_b - first[..., None] * along_a
+    side, every = np.argmin(np.sum(apart**2, axis=2), axis=0), np.arange(len(a))
+    s, t = first[side, every], second[side, every]
+    turned = square_a * square_b - both**2
+    slanted = turned > PARALLEL * square_a * square_b
+    safe = np.where(slanted, turned, 1.0)
+    inner_s = (np.sum(gap * along_a, axis=1) * square_b - np.sum(gap * along_b, axis=1) * both) / safe
+    inner_t = (np.sum(gap * along_a, axis=1) * both - np.sum(gap * along_b, axis=1) * square_a) / safe
+    inside = slanted & (inner_s > 0.0) & (inner_s < 1.0) & (inner_t > 0.0) & (inner_t < 1.0)
+    s, t = np.where(inside, inner_s, s), np.where(inside, inner_t, t)
+    middle = 0.5 * (on_a(0.0) + on_a(1.0))
+    beside = ~slanted & (on_a(0.0) != on_a(1.0))
+    return np.where(beside, middle, s), np.where(beside, on_b(middle), t)
+
+
+def touchable(model: RodModel) -> IntArray:
+    """Elements of all rods that are no muscles, in order."""
+    return np.flatnonzero(~np.isin(rod_of(model), model.muscles))
+
+
+def rod_of(model: RodModel) -> IntArray:
+    """Rod of every element, shape (n_elem,)."""
+    return np.repeat(np.arange(model.n_rod), [rod.n_elem for rod in model.rods])
+
+
+def depths(model: RodModel, position: FloatArray, pairs: IntArray) -> FloatArray:
+    """Depth to which each pair of elements overlaps [m], shape (n_pair,); negative where they are apart."""
+    lower = np.arange(model.n_elem) + rod_of(model)
+    start, side = position[lower], position[lower + 1] - position[lower]
+    i, j = pairs.T
+    s, t = nearest(start[i], side[i], start[j], side[j])
+    distance = np.linalg.norm(start[i] + s[:, None] * side[i] - start[j] - t[:, None] * side[j], axis=1)
+    depth: FloatArray = reaches(model, pairs) - distance
+    return depth
+
+
+def reaches(model: RodModel, pairs: IntArray) -> FloatArray:
+    """Radii of each pair of elements together [m], shape (n_pair,)."""
+    reach: FloatArray = model.element_radius[pairs].sum(axis=1)
+    return reach
+
+
+def overlapping(model: RodModel, position: FloatArray, margin: float = 0.0) -> IntArray:
+    """Pairs of touchable elements of different rods that overlap, shape (n_pair, 2): first < second, sorted.
+
+    With a margin also those nearer than 1 + `margin` times their radii. Sorted by their place along the longest side of
+    the assembly, elements are tried with those near them on it, some at a time to bound the memory.
+    """
+    element, rod = touchable(model), rod_of(model)
+    lower = element + rod[element]
+    middle = 0.5 * (position[lower] + position[lower + 1])
+    if not np.isfinite(middle).all() or len(element) == 0:
+        return np.zeros((0, 2), np.int64)
+    reach = (1.0 + margin) * model.element_radius[element]
+    size = 0.5 * np.linalg.norm(position[lower + 1] - position[lower], axis=1) + reach
+    along = middle[:, np.argmax(np.ptp(middle, axis=0))]
+    order = np.argsort(along)
+    last = np.searchsorted(along[order], along[order] + 2.0 * size.max(), side="right")
+    found = []
+    for rows in np.array_split(np.arange(len(order)), 1 + int((last - np.arange(len(order))).sum()) // _AT_A_TIME):
+        count = last[rows] - rows - 1
+        before = np.repeat(rows, count)
+        after = before + 1 + np.arange(len(before)) - np.repeat(np.cumsum(count) - count, count)
+        a, b = order[before], order[after]
+        near = np.sum((middle[a] - middle[b]) ** 2, axis=1) <= (size[a] + size[b]) ** 2
+        near &= rod[element[a]] != rod[element[b]]
+        a, b = a[near], b[near]
+        pairs = np.sort(np.stack([element[a], element[b]], axis=1), axis=1)
+        found.append(pairs[depths(model, position, pairs) > -margin * reaches(model, pairs)])
+    every: IntArray = np.concatenate(found)
+    return every[np.lexsort((every[:, 1], every[:, 0]))]
+
+
+def excluded(model: RodModel) -> IntArray:
+    """Pairs of elements that never touch, as `overlapping` has them.
+
+    That is, at rest: those of joined rods that are nearer than 1 + `MARGIN` times their radii, and of other rods those
+    that overlap by more than rounding.
+    """
+    position, rod = model.rest_state().position, rod_of(model)
+    near = overlapping(model, position, MARGIN)
+    joints = np.array([[joint.rod_a, joint.rod_b] for joint in model.joints], np.int64).reshape(-1, 2)
+    number = [model.n_rod, 1]
+    joined = np.isin(np.sort(rod[near], axis=1) @ number, np.sort(joints, axis=1) @ number)
+    never: IntArray = near[joined | (depths(model, position, near) > _ROUNDING * reaches(model, near))]
+    return never

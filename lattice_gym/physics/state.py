@@ -1,0 +1,112 @@
+"""What moves: the state of an assembly, and what is seen of many."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lattice_gym.checks import FloatArray, IntArray, finite_number, real_array, shown
+from lattice_gym.physics.rod import FRAME_TOLERANCE, require
+
+if TYPE_CHECKING:
+    from lattice_gym.physics.assembly import Clamp, RodModel
+
+
+_DRIFT_TOLERANCE = 1e-6
+"""Frames are turned step by step and never mended: a million steps leave about 1e-10."""
+
+
+def _no_bolus() -> FloatArray:
+    return np.zeros((0, 3))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RodState:
+    """What moves: all that is needed to go on exactly."""
+
+    position: FloatArray
+    """Node positions [m], shape (n_node, 3)."""
+    velocity: FloatArray
+    """Node velocities [m/s], shape (n_node, 3)."""
+    directors: FloatArray
+    """Rows d1, d2, d3 of each element, shape (n_elem, 3, 3)."""
+    omega: FloatArray
+    """Angular velocities in the material frame [rad/s], shape (n_elem, 3)."""
+    bolus_position: FloatArray = field(default_factory=_no_bolus)
+    """Position of the ball's centre [m], shape (n_bolus, 3)."""
+    bolus_velocity: FloatArray = field(default_factory=_no_bolus)
+    """[m/s], shape (n_bolus, 3)"""
+    bolus_omega: FloatArray = field(default_factory=_no_bolus)
+    """Angular velocity in the laboratory frame [rad/s], shape (n_bolus, 3)."""
+    time: float = 0.0
+    """[s]"""
+
+    def copy(self) -> RodState:
+        """Return a state that shares no memory with this one."""
+        arrays = {name: value.copy() for name, value in vars(self).items() if name != "time"}
+        return replace(self, **arrays)
+
+    def check(self, model: RodModel) -> None:
+        """Raise ValueError unless shapes fit `model`, all is finite, frames are frames and what is clamped rests."""
+        shapes = {
+            "position": (model.n_node, 3),
+            "velocity": (model.n_node, 3),
+            "directors": (model.n_elem, 3, 3),
+            "omega": (model.n_elem, 3),
+            "bolus_position": (model.n_bolus, 3),
+            "bolus_velocity": (model.n_bolus, 3),
+            "bolus_omega": (model.n_bolus, 3),
+        }
+        for name, shape in shapes.items():
+            array = real_array(f"RodState.{name}", getattr(self, name))
+            require(array.shape == shape, f"RodState.{name}: shape must be {shape}, got {array.shape}")
+            require(bool(np.isfinite(array).all()), f"RodState.{name}: must be finite")
+        require(
+            finite_number(self.time) is not None, f"RodState.time = {shown(self.time)}: must be a finite number [s]"
+        )
+        d1, d2, d3 = (self.directors[:, row] for row in range(3))
+        skew = np.abs(self.directors @ self.directors.transpose(0, 2, 1) - np.eye(3)).max()
+        require(bool(skew < _DRIFT_TOLERANCE), "RodState.directors: must be orthonormal")
+        right_handed = bool((np.sum(np.cross(d1, d2) * d3, axis=1) > 0.0).all())
+        require(right_handed, "RodState.directors: must be right-handed")
+        (nodes, place, slack), (elements, frames) = model.held_nodes, model.held_elements
+        clamped = [clamp for clamp in model.clamps if clamp.node is not None]
+        gap = np.abs(self.position[nodes] - place)
+        _refuse_any(~(gap < slack[:, None]), clamped, "RodState.position: {} must stay at rest")
+        _refuse_any(self.velocity[nodes] != 0.0, clamped, "RodState.velocity: {} moves")
+        clamped = [clamp for clamp in model.clamps if clamp.element is not None]
+        turn = np.abs(self.directors[elements] - frames).reshape(-1, 9)
+        _refuse_any(~(turn < FRAME_TOLERANCE), clamped, "RodState.directors: {} must stay at rest")
+        _refuse_any(self.omega[elements] != 0.0, clamped, "RodState.omega: {} turns")
+
+
+def _refuse_any(wrong: npt.NDArray[np.bool_], clamps: Sequence[Clamp], message: str) -> None:
+    """Raise ValueError that names the first clamp with something wrong in its row."""
+    if wrong.any():
+        raise ValueError(message.format(clamps[int(np.argmax(wrong.any(axis=1)))]))
+
+
+class Motion(NamedTuple):
+    """What is seen of worms that move side by side: one row a worm."""
+
+    position: FloatArray
+    """Node positions [m], shape (n_worm, n_node, 3)."""
+    velocity: FloatArray
+    """Node velocities [m/s], shape (n_worm, n_node, 3)."""
+    bolus_position: FloatArray
+    """Positions of the balls' centres [m], shape (n_worm, n_bolus, 3)."""
+    bolus_velocity: FloatArray
+    """[m/s], shape (n_worm, n_bolus, 3)"""
+
+    @classmethod
+    def of(cls, state: RodState) -> Motion:
+        """Motion of a single worm."""
+        return cls(state.position[None], state.velocity[None], state.bolus_position[None], state.bolus_velocity[None])
+
+    def rows(self, worms: IntArray) -> Motion:
+        """Motion of some of the worms, shape (n,) of their rows."""
+        return Motion(*(part[worms] for part in self))

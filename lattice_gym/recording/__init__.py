@@ -1,0 +1,1 @@
+"""What an episode or a report leaves on disk."""

@@ -1,0 +1,1 @@
+"""What a worm is asked to do: one file a task."""

@@ -1,0 +1,177 @@
+"""Follow a commanded travelling wave of the ring radii."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import product
+from typing import ClassVar, final
+
+import numpy as np
+
+from lattice_gym.checks import TURN, FloatArray, IntArray
+from lattice_gym.physics.measures import ring_radii, travelling_wave
+from lattice_gym.physics.state import Motion
+from lattice_gym.tasks.base import BOUND_SLACK, COMMAND_BOUND, Command, Task, effort
+
+WAYS = {1: "up", -1: "down"}
+
+
+@final
+class Peristalsis(Task):
+    """Follow a commanded travelling wave of the ring radii.
+
+    The ring at height z is asked for the deviation ``target = amplitude cos(2 pi (speed t - z) / wavelength + phase)``
+    from its rest radius, as a share of it; a positive speed runs up, away from the base. The levels that can move
+    count: all but the base, where that is clamped. The reward is the share of the commanded wave that is followed,
+
+        tracking = (sum target^2 - sum (deviation - target)^2) / (n_level amplitude^2 / 2 + sum (deviation - target)^2),
+
+    with sums over the levels. It is zero for doing nothing; for following perfectly it is the first sum over its mean
+    n_level amplitude^2 / 2, which is 1 on average and at most 2; it is negative for motion that leads away, and never
+    below -1, however far away that is.
+
+    What is drawn was chosen from what the body can do: see FULL_DRIVE_AMPLITUDE in gaits.py, and the test
+    `test_the_antiphase_gait_can_make_the_wave_that_is_drawn`, which measures it.
+    """
+
+    name = "peristalsis"
+    layout = "all"
+    term_names = ("tracking", "effort")
+    bounds = (1.0, 1.0, COMMAND_BOUND, COMMAND_BOUND, COMMAND_BOUND)
+
+    RECORDED_PERIODS: ClassVar[int] = 2
+    """Periods of the commanded wave over which the outcome is measured."""
+    LEAST_STEPS: ClassVar[int] = 4
+    """Fewest control steps in a period of the commanded wave."""
+    LEAST_LEVELS: ClassVar[int] = 3
+    """Fewest levels that can carry a wave."""
+    SLOWEST: ClassVar[float] = 0.1
+    """Slowest wave [body heights a second]."""
+    TYPICAL_AMPLITUDE: ClassVar[float] = 0.055
+    """Scale of the observed amplitude."""
+
+    def _prepare(self) -> None:
+        lattice = self.lattice
+        first = 1 if lattice.design.base == "clamped" else 0
+        if lattice.n_level - first < self.LEAST_LEVELS:
+            raise ValueError(
+                f"design: peristalsis needs at least {self.LEAST_LEVELS} levels of sites that can move, got "
+                f"{max(lattice.n_level - first, 0)}"
+            )
+        self.height = lattice.level_height[first:]
+        self.rest_radius = ring_radii(lattice, lattice.position.reshape(-1, 3))
+        self.first = first
+        self._window = np.ones(self.n_worm, dtype=np.int64)
+
+    def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None, worm: int = 0) -> None:
+        """Start an episode of a worm: draw its command and forget what was recorded of it."""
+        super().begin(rng, options, worm)
+        command = self.command_of(worm)
+        window = round(self.RECORDED_PERIODS * abs(command["wavelength"] / command["speed"]) / self.control_dt)
+        self._window[worm] = window
+        record = self.memory["record"]
+        if window > record.shape[1]:
+            # Rows are counted modulo the window of their worm, so that those of others stay where they are.
+            room = np.zeros((self.n_worm, window - record.shape[1], len(self.height)))
+            self.memory["record"] = np.concatenate([record, room], axis=1)
+
+    def _blank(self) -> dict[str, FloatArray]:
+        return {"steps": np.zeros(()), "record": np.zeros((1, len(self.height)))}
+
+    def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
+        """Cosine and sine of the wave's phase at the base; speed, wavelength and amplitude over what is typical."""
+        angle, height, typical = self._phase(time), self.lattice.design.height, self.TYPICAL_AMPLITUDE
+        speed, wavelength, amplitude = (self.commanded[name] for name in ("speed", "wavelength", "amplitude"))
+        seen = [np.cos(angle), np.sin(angle), speed / height, wavelength / height, amplitude / typical]
+        return np.array(seen).T
+
+    def target(self, time: FloatArray) -> FloatArray:
+        """Deviation asked of every level that can move, over the rest radius, shape (n_worm, n_level - first)."""
+        angle = self._phase(time)[:, None] - TURN * self.height / self.commanded["wavelength"][:, None]
+        wave: FloatArray = self.commanded["amplitude"][:, None] * np.cos(angle)
+        return wave
+
+    def recorded(self, worm: int = 0) -> FloatArray:
+        """Deviations of a worm over the last two commanded periods, or as far back as it goes, shape (n, n_level)."""
+        steps, window = int(self.memory["steps"][worm]), int(self._window[worm])
+        rows = np.arange(max(steps - window, 0), steps) % window
+        found: FloatArray = self.memory["record"][worm, rows]
+        return found
+
+    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+        """Share of the commanded wave that is followed, and effort."""
+        deviation = (ring_radii(self.lattice, motion.position) / self.rest_radius - 1.0)[:, self.first :]
+        steps = self.memory["steps"]
+        self.memory["record"][np.arange(self.n_worm), steps.astype(np.int64) % self._window] = deviation
+        self.memory["steps"] = steps + 1.0
+        target = self.target(time)
+        error = deviation - target
+        # sum target^2 - sum (deviation - target)^2, without the rounding of a difference
+        followed = ((target - error) * deviation).sum(axis=-1)
+        whole = 0.5 * len(self.height) * self.commanded["amplitude"] ** 2 + (error * error).sum(axis=-1)
+        return {"tracking": followed / whole, "effort": effort(activation)}
+
+    def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
+        """Index, direction, speed [m/s] and amplitude (a share of the rest radius) of the wave.
+
+        Measured over the last two commanded periods; 0 until two have passed.
+        """
+        found = np.zeros((len(worms), 4))
+        for row, worm in zip(found, worms.tolist(), strict=True):
+            if self._whole_record(worm):
+                wave = travelling_wave(1.0 + self.recorded(worm), self.control_dt, self.height)
+                row[:] = *wave, wave.amplitude
+        return dict(zip(("wave_index", "wave_direction", "wave_speed", "wave_amplitude"), found.T, strict=True))
+
+    def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
+        """Index, way, speed and amplitude beside those asked for; empty until two commanded periods have passed."""
+        if not self._whole_record(worm):
+            return ""
+        index, direction, speed, amplitude = outcome.values()
+        command = self.command_of(worm)
+        wish, size = command["speed"], 100.0 * command["amplitude"]
+        way = f"{WAYS[int(direction)]} at {speed:.3f} m/s" if direction else "going nowhere"
+        asked = f"{WAYS[int(np.sign(wish))]} at {abs(wish):.3f} m/s, {size:.1f} %"
+        return f"wave index {index:.2f}, {way}, amplitude {100.0 * amplitude:.1f} % (asked: {asked})"
+
+    def _whole_record(self, worm: int) -> bool:
+        """Whether two commanded periods have passed."""
+        return bool(self.memory["steps"][worm] >= self._window[worm])
+
+    def _phase(self, time: FloatArray) -> FloatArray:
+        rate = TURN * self.commanded["speed"] / self.commanded["wavelength"]
+        phase: FloatArray = rate * time + self.commanded["phase"]
+        return phase
+
+    def _checked(self, argument: str, values: Mapping[str, object] | None) -> dict[str, tuple[float, ...]]:
+        """Refuse what any draw would make a wave that cannot be sampled."""
+        checked = super()._checked(argument, values)
+        drawn = {name: (bounds.low, bounds.high) for name, bounds in self.commands.items()} | self.among | checked
+        for speed, wavelength in product(drawn["speed"], drawn["wavelength"]):
+            self._check_wave(argument, speed, wavelength)
+        return checked
+
+    def _check_wave(self, argument: str, speed: float, wavelength: float) -> None:
+        """Refuse a wave that stands, or that is too fast to be sampled by control steps."""
+        slowest, shortest = self.SLOWEST * self.lattice.design.height, self.LEAST_STEPS * self.control_dt
+        if abs(speed) < slowest * (1.0 - BOUND_SLACK):
+            raise ValueError(f"{argument}['speed'] = {speed:g}: at least {slowest:g} [m/s], up or down")
+        period = wavelength / abs(speed)
+        if period < shortest * (1.0 - BOUND_SLACK):
+            raise ValueError(
+                f"{argument}: a wave of speed {abs(speed):g} m/s and wavelength {wavelength:g} m has a period of "
+                f"{period:g} s; it must last {self.LEAST_STEPS} control steps, {shortest:g} s (control_dt = "
+                f"{self.control_dt:g} s)"
+            )
+
+    def _commands(self) -> dict[str, Command]:
+        height = self.lattice.design.height
+        # Phases of neighbouring levels are told apart below half a turn; a third leaves room.
+        shortest = 3.0 * float(np.diff(self.height).max())
+        low = max(0.8 * height, shortest)
+        return {
+            "speed": Command(0.8 * height, 1.2 * height, -10.0 * height, 10.0 * height, "m/s"),
+            "wavelength": Command(low, max(1.2 * height, low), shortest, 10.0 * height, "m"),
+            "amplitude": Command(0.04, 0.07, 0.001, 0.5, "share of the rest radius"),
+            "phase": Command(0.0, TURN, -TURN, TURN, "rad"),
+        }

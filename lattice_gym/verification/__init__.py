@@ -1,0 +1,1 @@
+"""Exact cases and orders of convergence, which tests and reports use."""
