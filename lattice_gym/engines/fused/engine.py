@@ -12,9 +12,8 @@ import numpy as np
 
 from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.base import Engine
-from lattice_gym.engines.fused.kernels.health import Shown
 from lattice_gym.engines.fused.kernels.layout import CELL
-from lattice_gym.engines.fused.pack import Features, Pack, features, n_record, needs_own_pack
+from lattice_gym.engines.fused.pack import Features, Pack, Shown, features, n_record, needs_own_pack
 from lattice_gym.engines.health import Health
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow

@@ -24,7 +24,7 @@ from lattice_gym.engines.fused.kernels import (
     muscles,
     step,
 )
-from lattice_gym.engines.fused.kernels.health import Shown, Worms
+from lattice_gym.engines.fused.kernels.health import Worms
 from lattice_gym.engines.fused.kernels.layout import CELL, LANES, WORK, Blocks, Places, aligned
 from lattice_gym.engines.health import Health, Status, joint_gap_limits, overstretched, torn
 from lattice_gym.physics.assembly import RodModel
@@ -34,6 +34,18 @@ from lattice_gym.physics.laws.hill import Hill
 from lattice_gym.physics.rod import MAX_DILATATION, MIN_DILATATION, Rod
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import Ground
+
+
+class Shown(NamedTuple):
+    """Positions [m] and velocities [m/s] of all nodes and balls, as of the last sound moment of each worm.
+
+    Shapes (n, n_node, 3) and (n, n_bolus, 3).
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    bolus_position: FloatArray
+    bolus_velocity: FloatArray
 
 
 class Features(NamedTuple):
@@ -141,7 +153,7 @@ class Pack:
         shown: Shown,
     ) -> None:
         model, n_worm = models[0], len(models)
-        self.models, self.rows = list(models), rows
+        self.models, self.rows, self._shown = list(models), rows, shown
         self._dt, self._splitting, self._energy_check = dt, splitting, energy_check
         self._time = np.zeros(n_worm)
         place = self._placement = _place(model, n_worm)
@@ -174,7 +186,9 @@ class Pack:
         )
         gaps, bounds = np.zeros((n_worm, len(model.joints))), (MIN_DILATATION, MAX_DILATATION)
         status, found = np.zeros((2, n_worm), np.int64)
-        self._worms = Worms(*self._node, *self._element, gaps, *bounds, rows, shown, status, found)
+        self._worms = Worms(
+            *self._node, *self._element, gaps, *bounds, rows, shown.position, shown.velocity, status, found
+        )
         for worm, own in enumerate(models):
             self.fill(worm, own)
         self._fill_spare_lanes()
@@ -211,9 +225,9 @@ class Pack:
     def _pack_alone(self, model: RodModel) -> None:
         """Pack what only a pack of one worm has."""
         node, element, n_cell, dt = self._node.of(0), self._element.of(0), self._placement.n_cell, self._dt
-        checked = self._energy_check
+        checked, shown, row = self._energy_check, self._shown, self.rows[0]
         self.scene = self.scene._replace(
-            ball=ball.pack(model, element, n_cell, dt),
+            ball=ball.pack(model, element, n_cell, dt, (shown.bolus_position[row], shown.bolus_velocity[row])),
             contact=contact.pack(model, element),
             account=account.pack(model, node, element, n_cell, dt, self._splitting) if checked else None,
         )

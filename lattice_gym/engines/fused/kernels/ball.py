@@ -45,6 +45,7 @@ class Ball(NamedTuple):
     of force adds `kick` to its velocity in a step, a unit of torque `spin_kick` to its spin. Work space: `load`, the
     force of the contacts but for friction [N], shape (3,); `close`, whether it overlaps any element of a record, shape
     (n_cell,); `touches`, shape (n_elem,); and velocities of the nodes that it touches [m/s], shape (2 n_elem, 3).
+    `shown` are its position and velocity as of the last sound moment, shape (3,) each.
     """
 
     position: FloatArray
@@ -63,10 +64,11 @@ class Ball(NamedTuple):
     stiffness: float
     damping: float
     friction: float
+    shown: tuple[FloatArray, FloatArray]
 
 
-def pack(model: RodModel, element: Places, n_cell: int, dt: float) -> Ball | None:
-    """Ball of one worm, at rest where it starts."""
+def pack(model: RodModel, element: Places, n_cell: int, dt: float, shown: tuple[FloatArray, FloatArray]) -> Ball | None:
+    """Ball of one worm, at rest where it starts, shown in two rows of shape (1, 3)."""
     ball = model.bolus
     if ball is None:
         return None
@@ -77,7 +79,7 @@ def pack(model: RodModel, element: Places, n_cell: int, dt: float) -> Ball | Non
         load=np.zeros(3), distance=distance, close=np.zeros(n_cell, np.bool_), cell=element.cell, lane=element.lane,
         touches=np.zeros(model.n_elem, TOUCH), nodes=np.zeros((2 * model.n_elem, 3)),
         kick=dt / ball.mass, spin_kick=dt / ball.inertia,
-        stiffness=ball.stiffness, damping=ball.damping, friction=ball.friction,
+        stiffness=ball.stiffness, damping=ball.damping, friction=ball.friction, shown=(shown[0][0], shown[1][0]),
     )  # fmt: skip
 
 

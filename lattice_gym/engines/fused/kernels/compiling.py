@@ -1,16 +1,20 @@
 """How kernels are compiled, and for how long their machine code is kept.
 
 Numba keeps machine code until the file of the function changes, though code of other files is compiled into it. Here
-it is kept until any file of this folder changes. Where it is kept is for numba to say: `NUMBA_CACHE_DIR`, else
-`__pycache__`, else the user's folder for caches. Who sets `NUMBA_CACHE_LOCATOR_CLASSES` has numba's rule back.
+it is kept until any file of this folder changes, by a hash of them all in the names of its files. (In a stamp inside
+them it would not do: numba reads a file before it compares stamps, and fails where a named tuple is no longer there.)
+Where it is kept is for numba to say: `NUMBA_CACHE_DIR`, else `__pycache__`, else the user's folder for caches. Who sets
+`NUMBA_CACHE_LOCATOR_CLASSES` has numba's own rule back.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import njit
@@ -22,35 +26,48 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 @cache
 def _folder_hash() -> str:
     """Hash of every source file of this folder, as they stood when the first kernel was defined."""
-    files = sorted(file.name for file in resources.files(__package__).iterdir() if file.name.endswith(".py"))
-    digest = hashlib.sha256()
-    for name in files:
-        source = resources.files(__package__).joinpath(name).read_bytes()
+    folder, digest = resources.files(__package__), hashlib.sha256()
+    for name in sorted(file.name for file in folder.iterdir() if file.name.endswith(".py")):
+        source = folder.joinpath(name).read_bytes()
         digest.update(f"{name} {len(source)} ".encode() + source)
-    return digest.hexdigest()
+    return digest.hexdigest()[:16]
 
 
-class _AnyFileMatters:
-    """Makes machine code stale when any file of this folder has changed."""
+@cache
+def _remove_outdated(folder: str) -> None:
+    """Remove machine code of earlier versions of these files; no other file's code is kept in the same folder."""
+    with suppress(OSError):
+        for file in Path(folder).iterdir():
+            if file.suffix in (".nbi", ".nbc") and _folder_hash() not in file.name:
+                file.unlink(missing_ok=True)
 
-    def get_source_stamp(self) -> Any:
-        """Stamp of the function's own file, as numba has it, and of the folder."""
-        return super().get_source_stamp(), _folder_hash()  # type: ignore[misc]
+
+class _PerVersion:
+    """Names files of machine code by the hash of the sources."""
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder, or raise an OSError."""
+        super().ensure_cache_path()  # type: ignore[misc]
+        _remove_outdated(self.get_cache_path())  # type: ignore[attr-defined]
+
+    def get_disambiguator(self) -> str:
+        """Line of the function, and the hash."""
+        return f"{super().get_disambiguator()}-{_folder_hash()}"  # type: ignore[misc]
 
 
-class UserProvided(_AnyFileMatters, caching.UserProvidedCacheLocator):
+class UserProvided(_PerVersion, caching.UserProvidedCacheLocator):
     """The folder `NUMBA_CACHE_DIR`."""
 
 
-class InTree(_AnyFileMatters, caching.InTreeCacheLocator):
+class InTree(_PerVersion, caching.InTreeCacheLocator):
     """The folder `__pycache__` beside the file."""
 
 
-class UserWide(_AnyFileMatters, caching.UserWideCacheLocator):
+class UserWide(_PerVersion, caching.UserWideCacheLocator):
     """The user's folder for caches."""
 
 
-class Zipped(_AnyFileMatters, caching.ZipCacheLocator):
+class Zipped(_PerVersion, caching.ZipCacheLocator):
     """The user's folder for caches, where the package is in an archive."""
 
 

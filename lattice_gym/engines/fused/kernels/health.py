@@ -14,25 +14,13 @@ from lattice_gym.engines.fused.kernels.layout import LANES, Cells
 from lattice_gym.engines.fused.kernels.lines import Lines
 
 
-class Shown(NamedTuple):
-    """Positions [m] and velocities [m/s] of all nodes and balls as of each worm's last sound moment.
-
-    Shapes (n, n_node, 3) and (n, n_bolus, 3).
-    """
-
-    position: FloatArray
-    velocity: FloatArray
-    bolus_position: FloatArray
-    bolus_velocity: FloatArray
-
-
 class Worms(NamedTuple):
     """Whose records are whose: record and lane of every node and element of each worm, and how it ended a call.
 
-    Shapes (n_worm, n_node) and (n_worm, n_elem); `max_gap` is the gap at which each joint counts as torn [m], shape
-    (n_worm, n_joint), the dilatations those beyond which an element or a line counts as overstretched. Each worm that
-    is sound is written in its `row` of `shown`; `status` (as `engines.health.Status`) and `found`, the element or joint
-    at fault, shape (n_worm,), for each.
+    Shapes (n_worm, n_node) and (n_worm, n_elem). `max_gap` is the gap beyond which each joint counts as torn [m], shape
+    (n_worm, n_joint), and the dilatations those beyond which an element or a line counts as overstretched. Positions
+    [m] and velocities [m/s] of sound worms are written in the `row` of each, shape (n, n_node, 3). `status` (as
+    `engines.health.Status`) and `found`, the element or joint at fault, have the shape (n_worm,).
     """
 
     node_cell: IntArray
@@ -43,7 +31,8 @@ class Worms(NamedTuple):
     min_dilatation: float
     max_dilatation: float
     row: IntArray
-    shown: Shown
+    position: FloatArray
+    velocity: FloatArray
     status: IntArray
     found: IntArray
 
@@ -66,17 +55,14 @@ def inspect(
         code, found = _inspect(cells, worms, worm, sound, joints, lines, ball)
         worms.status[worm], worms.found[worm] = code, found
         if code == 0:
-            row, shown = worms.row[worm], worms.shown
+            row = worms.row[worm]
             for n in range(worms.node_cell.shape[1]):
                 here, j = cells[worms.node_cell[worm, n]], worms.node_lane[worm, n]
                 for i in range(3):
-                    shown.position[row, n, i], shown.velocity[row, n, i] = here.x[i, j], here.v[i, j]
+                    worms.position[row, n, i], worms.velocity[row, n, i] = here.x[i, j], here.v[i, j]
             if ball is not None:
                 for i in range(3):
-                    shown.bolus_position[row, 0, i], shown.bolus_velocity[row, 0, i] = (
-                        ball.position[i],
-                        ball.velocity[i],
-                    )
+                    ball.shown[0][i], ball.shown[1][i] = ball.position[i], ball.velocity[i]
 
 
 @compiled_strictly
