@@ -26,7 +26,7 @@ _LISTED = 16
 """Pairs for which there is room between calls, per element; where more are listed every call lists anew."""
 
 
-class _FusedAssembly:
+class FusedAssembly:
     """All rods of equal element count side by side in lanes; see `kernels`."""
 
     def __init__(self, model: RodModel, dt: float, splitting: Splitting, energy_check: bool) -> None:
@@ -109,6 +109,7 @@ class _FusedAssembly:
         return replace(state, bolus_position=place, bolus_velocity=speed, bolus_omega=spin)
 
     def restore(self, state: RodState) -> None:
+        """Take over a state."""
         self._pack.restore(0, state)
         if self._ball is not None:
             self._ball.place[:], self._ball.speed[:] = state.bolus_position[0], state.bolus_velocity[0]
@@ -118,6 +119,7 @@ class _FusedAssembly:
             self._contact.listed[:] = np.inf
 
     def advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:
+        """Advance with tensions from `start` to `end` [N], shape (n_muscle,)."""
         if self._account is not None:
             self._account.total[:] = 0.0
         self._pack.advance(start[None], end[None], n_substeps, self._ball, self._contact, self._account)
@@ -149,7 +151,7 @@ class FusedEngine(Engine):
         super().__init__(
             models, dt, splitting, energy_check=energy_check, step_check=step_check, num_threads=num_threads
         )
-        self._worms = [_FusedAssembly(model, self.dt, splitting, energy_check) for model in self.models]
+        self._worms = [FusedAssembly(model, self.dt, splitting, energy_check) for model in self.models]
         self._ends = [Health()] * self.n_worm
 
     def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> IntArray:
@@ -169,7 +171,7 @@ class FusedEngine(Engine):
         self._worms[worm].restore(state)
 
     def _replace(self, worm: int, model: RodModel) -> None:
-        self._worms[worm] = _FusedAssembly(model, self.dt, self.splitting, self.energy_check)
+        self._worms[worm] = FusedAssembly(model, self.dt, self.splitting, self.energy_check)
 
     def _flow(self, worm: int) -> Flow:
         return self._worms[worm].flow()
