@@ -13,8 +13,8 @@ from lattice_gym.benchmarks.results_files import table, write
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.recording.provenance import provenance
 from lattice_gym.verification.cases import CASES
-from lattice_gym.verification.scene import Case, Outcome, difference, run
-from lattice_gym.verification.steps import Orders, slope, step_orders, step_trials
+from lattice_gym.verification.case import Case, Outcome, difference, run
+from lattice_gym.verification.orders import Orders, slope, step_orders, step_trials
 
 ENGINES: tuple[EngineName, EngineName] = ("fused", "pyelastica")
 MESH_ORDER, MESH_ORDER_BAND = 2.0, 0.35

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lattice_gym.checks import FloatArray
-from lattice_gym.verification.scene import Outcome
+from lattice_gym.verification.case import Outcome
 
 if TYPE_CHECKING:
     from lattice_gym.benchmarks.validation import Validation

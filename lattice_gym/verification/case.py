@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -12,14 +12,15 @@ import numpy as np
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.base import Engine
 from lattice_gym.engines.registry import EngineName, make_engine
-from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.damping import Splitting
-from lattice_gym.physics.rod import straight_frames
 from lattice_gym.physics.state import RodState
 
 SETTLING = 1.0
 """Damping rate over the slowest angular frequency where a scene is to come to rest: no mode creeps, each falls as
 exp(-rate t / 2)."""
+STABLE_SHARE = 0.5
+"""Time step of a scene over its predicted stable one, where nothing else sets it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +49,12 @@ class Scene:
     dt: float
     observe: Callable[[Engine], Reading]
 
+    def run(self, engine_name: EngineName, splitting: Splitting = "pyelastica") -> tuple[Reading, RodState]:
+        """Measure on an engine; returns its last state, too."""
+        engine = make_engine(engine_name, self.model, self.dt, splitting)
+        engine.restore(self.start)
+        return self.observe(engine), engine.state
+
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
@@ -73,6 +80,43 @@ class Case:
     """Largest relative error that passes, of the number of elements."""
     reason: str
     """Where the tolerance comes from."""
+
+
+def exact_case(
+    title: str,
+    *,
+    quantity: str,
+    abscissa: str,
+    exact: str,
+    source: str,
+    tolerance: float | Callable[[int], float],
+    reason: str,
+    n_elem: int,
+    coarse: int | None = None,
+    meshes: tuple[int, ...] = (),
+) -> Callable[[Callable[[int], Scene]], Case]:
+    """Make a `Case` of the function that builds its scene; the case has the function's name.
+
+    `coarse` is `n_elem` unless given, and a tolerance that is a number holds on every mesh.
+    """
+
+    def decorate(build: Callable[[int], Scene]) -> Case:
+        return Case(
+            name=build.__name__,
+            title=title,
+            quantity=quantity,
+            abscissa=abscissa,
+            exact=exact,
+            source=source,
+            build=build,
+            n_elem=n_elem,
+            coarse=n_elem if coarse is None else coarse,
+            meshes=meshes,
+            tolerance=tolerance if callable(tolerance) else lambda _: tolerance,
+            reason=reason,
+        )
+
+    return decorate
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,10 +147,8 @@ def run(case: Case, engine_name: EngineName, n_elem: int | None = None, splittin
     n_elem = case.n_elem if n_elem is None else n_elem
     began = time.perf_counter()
     scene = case.build(n_elem)
-    engine = make_engine(engine_name, scene.model, scene.dt, splitting)
-    engine.restore(scene.start)
-    reading = scene.observe(engine)
-    return Outcome(case, engine_name, n_elem, scene.dt, reading, engine.state, time.perf_counter() - began)
+    reading, state = scene.run(engine_name, splitting)
+    return Outcome(case, engine_name, n_elem, scene.dt, reading, state, time.perf_counter() - began)
 
 
 def difference(first: Outcome, second: Outcome) -> float:
@@ -116,32 +158,31 @@ def difference(first: Outcome, second: Outcome) -> float:
     return float(max(apart, np.abs(a.directors - b.directors).max()))
 
 
-def pass_time(engine: Engine, duration: float) -> None:
-    """Advance a scene without muscles by the whole steps within `duration` [s].
+def advance_by(engine: Engine, duration: float, tension: FloatArray | None = None) -> RodState:
+    """Advance by the whole steps next to `duration` [s], at least one; returns the state.
+
+    Muscles hold a constant `tension` [N], shape (n_muscle,); a scene without muscles needs none.
 
     Raises
     ------
     RuntimeError
         The state diverged.
     """
-    health = engine.advance([], max(1, round(duration / engine.dt)))
+    health = engine.advance([] if tension is None else tension, max(1, round(duration / engine.dt)))
     if not health.ok:
         raise RuntimeError(f"exact case diverged: {health}")
+    return engine.state
 
 
-def with_velocity(state: RodState, velocity: FloatArray) -> RodState:
-    """Return the state with other node velocities [m/s]."""
-    return replace(state, velocity=velocity)
+def sample(
+    engine: Engine,
+    times: Iterable[float],
+    measure: Callable[[RodState], FloatArray | float],
+    tension: FloatArray | None = None,
+) -> FloatArray:
+    """Advance from one time [s] to the next, evenly spaced and the first of them one interval away; measure at each.
 
-
-def clamp_ends(rod: int, n_elem: int) -> tuple[Clamp, Clamp]:
-    """Hold the first and the last node of a rod and its first and last element."""
-    return Clamp(rod, node=0, element=0), Clamp(rod, node=n_elem, element=n_elem - 1)
-
-
-def twisted_frames(position: FloatArray, normal: FloatArray, twist: FloatArray) -> FloatArray:
-    """Directors along a rod: d1 towards `normal` (one, or one an element), then turned by `twist` [rad] about d3."""
-    frames = straight_frames(position, normal)
-    cosine, sine = np.cos(twist)[:, None], np.sin(twist)[:, None]
-    d1 = cosine * frames[:, 0] + sine * frames[:, 1]
-    return np.stack([d1, np.cross(frames[:, 2], d1), frames[:, 2]], axis=1)
+    Returns what `measure` gave, shape (n_time, ...).
+    """
+    times = list(times)
+    return np.array([measure(advance_by(engine, times[0], tension)) for _ in times])

@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
+from scipy.linalg import expm
+from scipy.stats import linregress
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
@@ -26,14 +28,15 @@ from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.worm import build_model
-from lattice_gym.verification.cases import LENGTH, SPEED, bar, energy
-from lattice_gym.verification.scene import Reading, Scene, pass_time, with_velocity
+from lattice_gym.verification.bar import LENGTH, SPEED, bar
+from lattice_gym.verification.case import Reading, Scene, advance_by, sample
+from lattice_gym.verification.motion import ringing_free_bar
 
 SECOND_ORDER_BAND, FIRST_ORDER_BAND = 0.15, 0.25
 SHARES = (0.4, 0.2, 0.1)
 """Steps of the ringing bars, over the stable one."""
 ENERGY_ANGLES = (0.12, 0.06, 0.03)
-"""Steps of the bar whose energy is watched, as `cases.energy` takes them."""
+"""Steps of the bar whose energy is watched, as `motion.ringing_free_bar` takes them."""
 VARIANTS: tuple[tuple[EngineName, Splitting], ...] = (
     ("fused", "pyelastica"),
     ("pyelastica", "pyelastica"),
@@ -102,14 +105,14 @@ class Orders:
 
 def slope(x: Sequence[float], y: Sequence[float]) -> float:
     """Exponent of the power law that fits best."""
-    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+    return float(linregress(np.log(x), np.log(y)).slope)
 
 
 def ringing_bar(rate: float, share: float) -> Scene:
     """Clamped-free bar swinging along its axis, read against the exact motion of its very mesh.
 
-    The mesh is a chain of masses, springs and dashpots, solved by its eigenvectors. Strains are 1e-7, and stretch is
-    linear to as much. `rate` [1/s] damps an inner node; `share` is the step over the stable one.
+    The mesh is a chain of masses, springs and dashpots, solved by its matrix exponential. Strains are 1e-7, and stretch
+    is linear to as much. `rate` [1/s] damps an inner node; `share` is the step over the stable one.
     """
     n, n_sample = 8, 16
     model = RodModel(rods=(bar(n, rate=rate),), clamps=(Clamp(0, node=0, element=0),))
@@ -119,22 +122,18 @@ def ringing_bar(rate: float, share: float) -> Scene:
     stiffness *= rod.stretch_stiffness[0] / rod.rest_length[0]
     mass = rod.mass[1:, None]
     flow = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness / mass, -rod.damping / mass * np.eye(n)]])
-    value, vector = np.linalg.eig(flow)
     velocity = np.zeros_like(rest.velocity)
     velocity[:, 2] = 1e-7 * SPEED * np.sin(0.5 * np.pi * np.arange(n + 1) / n)
-    weight = np.linalg.solve(vector, np.append(np.zeros(n), velocity[1:, 2]).astype(complex))
+    start = np.append(np.zeros(n), velocity[1:, 2])
     interval = 3.0 * LENGTH / SPEED / n_sample
     dt = interval / int(np.ceil(interval / (share * stable_dt(model))))
 
     def observe(engine: Engine) -> Reading:
-        times, measured = interval * np.arange(1, n_sample + 1), []
-        for _ in times:
-            pass_time(engine, interval)
-            measured.append(engine.state.position[1:, 2] - rest.position[1:, 2])
-        exact = (np.exp(np.outer(times, value)) * weight @ vector[:n].T).real
-        return Reading(times, np.array(measured), exact)
+        times = interval * np.arange(1, n_sample + 1)
+        measured = sample(engine, times, lambda state: state.position[1:, 2] - rest.position[1:, 2])
+        return Reading(times, measured, np.array([expm(time * flow)[:n] @ start for time in times]))
 
-    return Scene(model, with_velocity(rest, velocity), dt, observe)
+    return Scene(model, replace(rest, velocity=velocity), dt, observe)
 
 
 RINGING_RATE = 0.3 * 0.5 * np.pi * SPEED / LENGTH
@@ -143,12 +142,8 @@ RINGING_RATE = 0.3 * 0.5 * np.pi * SPEED / LENGTH
 
 def _bar_errors(build: Callable[[float], Scene], sizes: Sequence[float], engine: EngineName, how: Splitting) -> Errors:
     """Errors of the scenes that `build` makes of the `sizes` of their steps."""
-    scenes, errors = [build(size) for size in sizes], []
-    for scene in scenes:
-        made = make_engine(engine, scene.model, scene.dt, how)
-        made.restore(scene.start)
-        errors.append(scene.observe(made).error)
-    return Errors(tuple(scene.dt for scene in scenes), tuple(errors))
+    scenes = [build(size) for size in sizes]
+    return Errors(tuple(scene.dt for scene in scenes), tuple(scene.run(engine, how)[0].error for scene in scenes))
 
 
 SPINNING_TIME, SPINNING_STRETCH = 0.1, 1.25
@@ -181,8 +176,7 @@ def _spinning_end(engine: EngineName, splitting: Splitting, damped: bool, steps:
     model, start = _spinning_rod(damped)
     made = make_engine(engine, model, SPINNING_TIME / steps, splitting)
     made.restore(start)
-    pass_time(made, SPINNING_TIME)
-    return made.state
+    return advance_by(made, SPINNING_TIME)
 
 
 SPINNING_SCALES = {"position": LENGTH, "directors": 1.0, "omega": float(np.linalg.norm(SPINNING_SPIN))}
@@ -220,10 +214,7 @@ def _lattice_end(engine: EngineName, splitting: Splitting, damped: bool, steps: 
     """Node positions after LATTICE_TIME under LATTICE_TENSION in every muscle [m]."""
     model = _lattice(damped)
     made = make_engine(engine, model, LATTICE_TIME / steps, splitting)
-    health = made.advance(np.full(model.n_muscle, LATTICE_TENSION), steps)
-    if not health.ok:
-        raise RuntimeError(f"lattice diverged: {health}")
-    return made.state.position
+    return advance_by(made, LATTICE_TIME, np.full(model.n_muscle, LATTICE_TENSION)).position
 
 
 def _lattice_errors(damped: bool, engine: EngineName, splitting: Splitting) -> Errors:
@@ -236,7 +227,7 @@ def _lattice_errors(damped: bool, engine: EngineName, splitting: Splitting) -> E
 
 
 STEP_SCENES = (
-    StepScene(name="energy of a free bar", measure=partial(_bar_errors, partial(energy, 6), ENERGY_ANGLES)),
+    StepScene(name="energy of a free bar", measure=partial(_bar_errors, partial(ringing_free_bar, 6), ENERGY_ANGLES)),
     StepScene(name="ringing bar, undamped", measure=partial(_bar_errors, partial(ringing_bar, 0.0), SHARES)),
     StepScene(
         name="ringing bar, damped",
