@@ -15,18 +15,16 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import VectorEnv
+from tqdm import tqdm
 
-from lattice_gym.benchmarks.engines import BENCHMARK_DT, ENGINES, benchmark_model
-from lattice_gym.benchmarks.plain_pyelastica import PlainPyElastica
-from lattice_gym.benchmarks.precision_study import Progress
-from lattice_gym.benchmarks.timing import allocated, interleaved, seconds
+from lattice_gym.benchmarks.benchmark_scene import BENCHMARK_DT, ENGINES, TENSION, benchmark_model
+from lattice_gym.benchmarks.throughput.plain_pyelastica import PlainPyElastica
+from lattice_gym.benchmarks.timing import allocated, interleaved, seconds, seconds_per_step
 from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.base import Engine
 from lattice_gym.engines.batch import BatchEngine, available_cores
 from lattice_gym.engines.registry import EngineName, make_engine
 
-TENSION = 0.5
-"""In every muscle of the benchmark scene [N]."""
 ENV_ID = "LatticeWormExtension-v0"
 """Environment with the muscles of the benchmark scene."""
 N_SUBSTEPS = 100
@@ -122,18 +120,6 @@ def _relative(a: FloatArray, b: FloatArray) -> float:
     return float(np.abs(a - b).max() / np.abs(b).max())
 
 
-def _time(engine: Engine, n_steps: int) -> float:
-    """Seconds per step from rest."""
-    engine.restore(engine.model.rest_state())
-    pull = np.full(engine.model.n_muscle, TENSION)
-    return seconds(lambda: engine.advance(pull, n_steps)) / n_steps
-
-
-def time_engine(n_steps: int) -> float:
-    """Seconds per step of the fused engine in the benchmark scene, from rest."""
-    return _time(make_engine("fused", benchmark_model(), BENCHMARK_DT), n_steps)
-
-
 def time_plain(n_steps: int, clock: Callable[[], float] = time.thread_time) -> float:
     """Seconds per step of plain PyElastica from rest."""
     plain = PlainPyElastica(benchmark_model(), TENSION, BENCHMARK_DT)
@@ -154,10 +140,10 @@ def single(plan: Plan) -> Single:
     engines["pyelastica"].advance(pull, COURSE_STEPS - 1)
     course = _relative(engines["pyelastica"].state.position, plain.position)
     tasks: dict[str, Callable[[], float]] = {
-        name: partial(_time, engine, plan.steps[name]) for name, engine in engines.items()
+        name: partial(seconds_per_step, engine, pull, plan.steps[name]) for name, engine in engines.items()
     }
     tasks["plain"] = partial(time_plain, plan.steps["plain"])
-    return Single(interleaved(tasks, plan.repeats), step, course)
+    return Single(interleaved(tasks, plan.repeats, "one worm"), step, course)
 
 
 def _make_batch(n_worm: int, num_threads: int) -> BatchEngine:
@@ -238,13 +224,12 @@ def bytes_per_worm(few: int = 16, more: int = 64) -> float:
     return (sizes[1] - sizes[0]) / (more - few)
 
 
-def batches(plan: Plan, progress: Progress) -> Batches:
+def batches(plan: Plan) -> Batches:
     """Time every size of batch and environment on every number of threads, plain PyElastica beside them."""
     n_muscle = benchmark_model().n_muscle
     keys = [(n_worm, threads) for n_worm in plan.sizes for threads in thread_counts()]
     engines, envs = {}, {}
-    for key in keys:
-        progress(f"building {key[0]} worms on {key[1]} threads")
+    for key in tqdm(keys, desc="building batches", unit="batch"):
         engines[key], envs[key] = _make_batch(*key), _make_env(*key)
     tasks: dict[tuple[str, tuple[int, int]], Callable[[], float]] = {}
     for key in keys:
@@ -255,8 +240,7 @@ def batches(plan: Plan, progress: Progress) -> Batches:
         tasks["overhead", (ENV_WORMS, threads)] = partial(_time_overhead, envs[ENV_WORMS, threads])
     several = envs[ENV_WORMS, thread_counts()[0]]
     tasks["reset", (ENV_WORMS, 1)] = lambda: seconds(lambda: several.reset(seed=0), time.perf_counter)
-    progress(f"batches of up to {plan.sizes[-1]} worms")
-    times = interleaved(tasks, plan.repeats)
+    times = interleaved(tasks, plan.repeats, "batches")
     for key in keys:
         engines[key].close()
         envs[key].close()

@@ -1,4 +1,4 @@
-"""What each optional feature of a scene costs in a step of the fused engine, alone and with all others."""
+"""What each optional feature of a worm's world costs in a step of the fused engine, alone and with all others."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lattice_gym.benchmarks.engines import BENCHMARK_DT, CONTROL_DT
-from lattice_gym.benchmarks.throughput_study import TENSION
+from lattice_gym.benchmarks.benchmark_scene import BENCHMARK_DT, CONTROL_DT, TENSION
 from lattice_gym.benchmarks.timing import interleaved, seconds
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
@@ -32,7 +31,7 @@ ADAPTATION = Adaptation(strain_gain=0.1, force_gain=0.1, fatigue_rate=0.1, recov
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class Feature:
     """The bare worm with something more; its muscles pull as in the benchmark scene, from rest."""
 
     name: str
@@ -47,46 +46,46 @@ class Scene:
 
 
 CRAWL = replace(BARE, base="free")
-SCENES = (
-    Scene(name="bare", difference="default design without rotational damping, nothing around"),
-    Scene(
+FEATURES = (
+    Feature(name="bare", difference="default design without rotational damping, nothing around"),
+    Feature(
         name="rotational damping",
         difference="the default design: the benchmark scene",
         design=LatticeDesign(),
     ),
-    Scene(name="gravity and medium", difference="weight, buoyancy and drag", world=World(medium=MEDIUM)),
-    Scene(
+    Feature(name="gravity and medium", difference="weight, buoyancy and drag", world=World(medium=MEDIUM)),
+    Feature(
         name="ground",
         difference="the world of crawl: free, lying, gravity and medium, a ground with friction",
         design=CRAWL,
         world=Crawl.surroundings(build_lattice(CRAWL)),
     ),
-    Scene(
+    Feature(
         name="friction by direction",
         difference="the same, other coefficients forwards, backwards, sideways and at rest",
         design=CRAWL,
         world=World(medium=Medium(), ground=BY_DIRECTION, lying=True),
     ),
-    Scene(name="ball", difference="that of transport, held by two rings, without weight", world=World(bolus=BALL)),
-    Scene(
+    Feature(name="ball", difference="that of transport, held by two rings, without weight", world=World(bolus=BALL)),
+    Feature(
         name="self-contact",
         difference="every element of a rod may touch those of others",
         world=World(contact=Contact()),
     ),
-    Scene(name="Hill muscles", difference="force by length and speed in every muscle element", hill=Hill()),
-    Scene(
+    Feature(name="Hill muscles", difference="force by length and speed in every muscle element", hill=Hill()),
+    Feature(
         name="muscles as lines",
         difference="no muscle rods: a force between two nodes",
         design=replace(BARE, muscle_model="line"),
     ),
-    Scene(name="adaptation", difference="strengths brought up to date each control step", adaptation=ADAPTATION),
-    Scene(name="energy ledger", difference="`energy_check=True`", checks={"energy_check": True}),
-    Scene(
+    Feature(name="adaptation", difference="strengths brought up to date each control step", adaptation=ADAPTATION),
+    Feature(name="energy ledger", difference="`energy_check=True`", checks={"energy_check": True}),
+    Feature(
         name="step check",
         difference="`step_check=True`: a run at half the step beside it",
         checks={"step_check": True},
     ),
-    Scene(
+    Feature(
         name="all together",
         difference="all of these, but muscles as rods",
         design=replace(LatticeDesign(), base="free"),
@@ -99,12 +98,12 @@ SCENES = (
 """The bare scene first."""
 
 
-def _timer(scene: Scene, n_control: int) -> Callable[[], float]:
+def _timer(feature: Feature, n_control: int) -> Callable[[], float]:
     """Find the seconds per step over so many control steps from rest."""
-    lattice = build_lattice(scene.design)
-    model = build_model(lattice, named_layout("extension", lattice), scene.world, hill=scene.hill)
-    engine = make_engine("fused", model, BENCHMARK_DT, **scene.checks)
-    active, n_substeps, adaptation = np.ones(model.n_muscle), round(CONTROL_DT / BENCHMARK_DT), scene.adaptation
+    lattice = build_lattice(feature.design)
+    model = build_model(lattice, named_layout("extension", lattice), feature.world, hill=feature.hill)
+    engine = make_engine("fused", model, BENCHMARK_DT, **feature.checks)
+    active, n_substeps, adaptation = np.ones(model.n_muscle), round(CONTROL_DT / BENCHMARK_DT), feature.adaptation
 
     def control() -> None:
         strength = None if adaptation is None else adaptation.untrained(model.n_muscle)
@@ -112,7 +111,7 @@ def _timer(scene: Scene, n_control: int) -> Callable[[], float]:
             pull = TENSION * active if strength is None else TENSION * strength.factor
             health = engine.advance(pull, n_substeps)
             if not health.ok:
-                raise RuntimeError(f"{scene.name}: {health}")
+                raise RuntimeError(f"{feature.name}: {health}")
             if adaptation is not None and strength is not None:
                 strain = muscle_strain(model, engine.state.position)
                 strength = adaptation.used(strength, active, pull, strain, CONTROL_DT)
@@ -124,6 +123,6 @@ def _timer(scene: Scene, n_control: int) -> Callable[[], float]:
     return timed
 
 
-def scene_costs(repeats: int, n_control: int, scenes: tuple[Scene, ...] = SCENES) -> dict[str, list[float]]:
-    """Seconds per step of every scene, by name; control steps are those of the environment."""
-    return interleaved({scene.name: _timer(scene, n_control) for scene in scenes}, repeats)
+def feature_costs(repeats: int, n_control: int) -> dict[str, list[float]]:
+    """Seconds per step with every feature, by name; control steps are those of the environment."""
+    return interleaved({feature.name: _timer(feature, n_control) for feature in FEATURES}, repeats, "features")

@@ -7,15 +7,14 @@ to rounding, which the report shows on one case, so that PyElastica need only be
 
 from __future__ import annotations
 
-import sys
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
+from tqdm import tqdm
 
-from lattice_gym.benchmarks.motions import (
+from lattice_gym.benchmarks.work_precision.motions import (
     SAMPLE_DT,
     SCENES,
     Course,
@@ -124,21 +123,6 @@ class Study:
         return front
 
 
-class Progress:
-    """A line on stderr at most every ten seconds."""
-
-    def __init__(self, report: str = "work-precision") -> None:
-        self._report = report
-        self._start = self._last = time.monotonic()
-
-    def __call__(self, text: str) -> None:
-        """Say what is being done, if it is time."""
-        now = time.monotonic()
-        if now - self._last > 10.0:
-            self._last = now
-            sys.stderr.write(f"{self._report}, {now - self._start:.0f} s: {text}\n")
-
-
 def _settled(elements_per_segment: int, muscle_model: str, n_substeps: int) -> Setting:
     """Give the setting of a reference: on a fine mesh stability asks for smaller steps than accuracy does."""
     return Setting(elements_per_segment, muscle_model, "symmetric", max(n_substeps, 50 * elements_per_segment))
@@ -149,15 +133,12 @@ def _key(engine: EngineName, setting: Setting) -> _Kind:
     return engine, setting.elements_per_segment, setting.muscle_model, setting.splitting
 
 
-def study(scene: Scene, plan: Plan, progress: Progress) -> Study:
+def study(scene: Scene, plan: Plan) -> Study:
     """Run and time every setting on one scene."""
 
     def limit(coarse: int, fine: int) -> Course:
-        courses = []
-        for mesh in (coarse, fine):
-            progress(f"{scene.name}, reference on {mesh} elements per segment")
-            courses.append(run(scene, _settled(mesh, "rod", 500)))
-        return extrapolated(courses[0], courses[1], fine / coarse)
+        first, second = (run(scene, _settled(mesh, "rod", 500)) for mesh in (coarse, fine))
+        return extrapolated(first, second, fine / coarse)
 
     reference = limit(*plan.reference_meshes)
     doubt = compare(limit(*plan.check_meshes), reference)
@@ -169,22 +150,18 @@ def study(scene: Scene, plan: Plan, progress: Progress) -> Study:
         for n_substeps in (*plan.steps, *(plan.fine_steps if mesh == DEFAULT_MESH else ()))
     ]
     named = {name: _of_fidelity(scene, name) for name in FIDELITIES}
-    progress(f"{scene.name}, cost of a step")
     cost = _step_costs(scene, [*sweep, *named.values()], plan.repeats)
     settled: dict[tuple[int, str], Course] = {}
 
-    def point(setting: Setting, engine: EngineName = "fused") -> Point:
-        progress(
-            f"{scene.name}, {', '.join(map(str, _key(engine, setting)))}, {setting.n_substeps} steps in {SAMPLE_DT} s"
-        )
+    def point(setting: Setting) -> Point:
         if setting.mesh not in settled:
             own = setting.elements_per_segment == DEFAULT_MESH
             settled[setting.mesh] = run(scene, _settled(*setting.mesh, plan.reference_steps if own else 1000))
         course = run(scene, setting)
         errors = compare(course, settled[setting.mesh]), compare(course, reference)
-        return Point(engine, setting, *errors, cost[_key(engine, setting)] / setting.dt, course.status)
+        return Point("fused", setting, *errors, cost[_key("fused", setting)] / setting.dt, course.status)
 
-    points = [point(setting) for setting in sweep]
+    points = [point(setting) for setting in tqdm(sweep, desc=scene.name, unit="setting")]
     points += [
         replace(p, engine="pyelastica", cost=cost[_key("pyelastica", p.setting)] / p.setting.dt)
         for p in points
@@ -234,13 +211,12 @@ def same_course(scene: Scene, n_sample: int) -> float:
     return float(np.abs(fused.sites - reference.sites).max())
 
 
-def gait_returns(n_step: dict[str, int], progress: Progress) -> dict[str, dict[FidelityName, float]]:
+def gait_returns(n_step: dict[str, int]) -> dict[str, dict[FidelityName, float]]:
     """Return of a task's hand-made gait over so many control steps, at every fidelity; commands are those of seed 0."""
     returns: dict[str, dict[FidelityName, float]] = {}
-    for task, count in n_step.items():
+    for task, count in tqdm(n_step.items(), desc="returns of gaits", unit="task"):
         returns[task] = {}
         for name in FIDELITIES:
-            progress(f"return of the {task} gait, fidelity {name}")
             env = LatticeWormEnv(task, fidelity=name)
             env.reset(seed=0)
             command = gait(task, env.lattice, env.layout, env.task.command)

@@ -1,24 +1,18 @@
-"""Every exact case on both engines: error, tolerance, source, orders of convergence, and how far the engines differ."""
+"""The validation report: tables of errors, tolerances, sources and orders."""
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from lattice_gym.benchmarks.results_files import table, write
-from lattice_gym.engines.registry import EngineName
-from lattice_gym.recording.provenance import provenance
+from lattice_gym.benchmarks.validation.figure import draw
+from lattice_gym.benchmarks.validation.study import Validation, validate
+from lattice_gym.verification.case import Case, difference
 from lattice_gym.verification.cases import CASES
-from lattice_gym.verification.case import Case, Outcome, difference, run
-from lattice_gym.verification.orders import Orders, slope, step_orders, step_trials
-
-ENGINES: tuple[EngineName, EngineName] = ("fused", "pyelastica")
-MESH_ORDER, MESH_ORDER_BAND = 2.0, 0.35
-"""Order expected in the element count, and by how much the fitted one may differ."""
 
 NOTES = """\
 Every error is the largest deviation from the exact result over the largest exact value (zero results: over what
@@ -45,81 +39,6 @@ extent, and directors.
   tumbles at 2 rad/s, twists at 30 rad/s and rings from a stretch of 25 %, and is read in the midst of the first swing:
   over whole periods errors that go with the rate of stretch cancel. It is run undamped, and damped with a torque on
   every element. The dashpots of joints are of order 1 in both splittings; no scene here has any."""
-
-
-@dataclass(frozen=True)
-class MeshOrder:
-    """Errors of one case on one engine over its meshes, and the order that fits them."""
-
-    case: Case
-    engine: EngineName
-    n_elem: tuple[int, ...]
-    error: tuple[float, ...]
-
-    @property
-    def fitted(self) -> float:
-        """Slope of log(error) over log(element size)."""
-        return -slope(self.n_elem, self.error)
-
-    @property
-    def passed(self) -> bool:
-        """True if the fitted order is near enough to 2."""
-        return abs(self.fitted - MESH_ORDER) <= MESH_ORDER_BAND
-
-
-@dataclass(frozen=True)
-class Validation:
-    """All that the report shows."""
-
-    outcomes: tuple[tuple[Outcome, Outcome], ...]
-    """One pair, fused and pyelastica, a case."""
-    meshes: tuple[MeshOrder, ...]
-    steps: tuple[Orders, ...]
-
-    @property
-    def passed(self) -> bool:
-        """True if every error and every order is within its tolerance."""
-        errors = all(outcome.passed for pair in self.outcomes for outcome in pair)
-        return errors and all(mesh.passed for mesh in self.meshes) and all(steps.passed for steps in self.steps)
-
-
-class _Progress:
-    """Lines on stderr: what is done, and when."""
-
-    def __init__(self) -> None:
-        self._began = time.perf_counter()
-
-    def __call__(self, text: str) -> None:
-        sys.stderr.write(f"{time.perf_counter() - self._began:6.1f} s  {text}\n")
-        sys.stderr.flush()
-
-
-def validate(cases: Sequence[Case] = CASES, *, quick: bool = False) -> Validation:
-    """Run the cases; the quick form takes coarse meshes, and fits orders to two of them on the fused engine."""
-    say, pairs, meshes = _Progress(), [], []
-    for case in cases:
-        n_elem = case.coarse if quick else case.n_elem
-        known: dict[tuple[EngineName, int], Outcome] = {}
-        for engine in ENGINES:
-            known[engine, n_elem] = run(case, engine, n_elem)
-            say(f"{case.name}, {engine}, {n_elem} elements: error {known[engine, n_elem].reading.error:.1e}")
-        pairs.append((known["fused", n_elem], known["pyelastica", n_elem]))
-        for engine in ENGINES[:1] if quick else ENGINES:
-            if not case.meshes:
-                continue
-            counts = case.meshes[:2] if quick else case.meshes
-            for mesh in counts:
-                if (engine, mesh) not in known:
-                    known[engine, mesh] = run(case, engine, mesh)
-                    say(f"{case.name}, {engine}, {mesh} elements: error {known[engine, mesh].reading.error:.1e}")
-            errors = tuple(known[engine, mesh].reading.error for mesh in counts)
-            meshes.append(MeshOrder(case, engine, counts, errors))
-    steps = []
-    for trial in step_trials(quick=quick):
-        orders = step_orders(*trial)
-        steps.append(orders)
-        say(f"{orders.scene}, {orders.engine}, splitting {orders.splitting}: order {orders.fitted:.2f} in dt")
-    return Validation(tuple(pairs), tuple(meshes), tuple(steps))
 
 
 def _verdict(passed: bool) -> str:
@@ -222,13 +141,11 @@ def report(folder: Path, *, quick: bool, pictures: bool, command: str, cases: Se
     began = time.perf_counter()
     validation = validate(cases, quick=quick)
     seconds = time.perf_counter() - began
-    result = _as_dict(validation) | {"seconds": seconds, "made": provenance(command)}
+    result = _as_dict(validation) | {"seconds": seconds}
     failed = [row[0] for row in _case_rows(validation) if row[-1] != "pass"]
     failed += [f"{steps.scene} ({steps.engine}, {steps.splitting})" for steps in validation.steps if not steps.passed]
     summary = "Everything passed" if validation.passed else f"Failed: {', '.join(failed)}"
-    write(folder, "validation", result, [*_tables(validation), f"{summary}; {seconds:.0f} s."])
+    write(folder, "validation", result, [*_tables(validation), f"{summary}; {seconds:.0f} s."], command)
     if pictures:
-        from lattice_gym.benchmarks.validation_figure import draw
-
         draw(validation, folder / "validation.png")
     return validation.passed

@@ -1,9 +1,4 @@
-"""Error against run time: what time step, mesh, damping, muscles and engine cost, and what they buy.
-
-Errors in time are taken on one mesh against the same mesh at a far smaller step, errors of the whole against the limit
-of vanishing elements. All errors are those of runs of the fused engine: with PyElastica's damping it follows PyElastica
-to rounding, which the report shows on one case, so that PyElastica need only be timed.
-"""
+"""The work-precision report: what time step, mesh, damping, muscles and engine cost, and what they buy."""
 
 from __future__ import annotations
 
@@ -14,23 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from lattice_gym.benchmarks.motions import SAMPLE_DT, SCENES
-from lattice_gym.benchmarks.precision_study import (
+from lattice_gym.benchmarks.results_files import table, write
+from lattice_gym.benchmarks.work_precision.figure import draw
+from lattice_gym.benchmarks.work_precision.motions import SAMPLE_DT, SCENES
+from lattice_gym.benchmarks.work_precision.pefrl import pefrl_faults
+from lattice_gym.benchmarks.work_precision.study import (
     DEFAULT_MESH,
     FULL,
     QUICK,
     TARGETS,
+    Plan,
     Point,
-    Progress,
     Study,
     gait_returns,
     same_course,
     study,
 )
-from lattice_gym.benchmarks.results_files import table, write
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.envs.fidelity import FIDELITIES
-from lattice_gym.recording.provenance import provenance
 
 LEAST_GAIN = 100.0
 """How many times less computing than PyElastica the fused engine must need at every target."""
@@ -40,6 +36,17 @@ GAIT_STEPS = {"peristalsis": 200, "extension": 40, "compression": 40, "bending":
 
 def _percent(value: float) -> str:
     return f"{100.0 * value:.2g} %" if np.isfinite(value) else "failed"
+
+
+TARGET_HEADER = (
+    "scene",
+    "error of the outcome",
+    "PyElastica takes",
+    "and needs",
+    "fused takes",
+    "and needs",
+    "fused over PyElastica",
+)
 
 
 def _target_rows(studies: Iterable[Study]) -> list[list[str]]:
@@ -148,22 +155,10 @@ def _json(measured: Study) -> dict[str, Any]:
     }
 
 
-def report(folder: Path, *, quick: bool, command: str) -> bool:
-    """Write work-precision.md, .json and .png; returns whether the fused engine needs 1/100 of PyElastica's time."""
-    from lattice_gym.benchmarks.pefrl import pefrl_faults
-    from lattice_gym.benchmarks.work_precision_figure import draw
-
-    plan = QUICK if quick else FULL
-    progress = Progress()
-    n_sample = 2 if quick else 6
-    apart = same_course(SCENES[0], n_sample)
-    gained, damped = pefrl_faults()
-    studies = [study(scene, plan, progress) for scene in plan.scenes]
-    returns = gait_returns({task: count // (10 if quick else 1) for task, count in GAIT_STEPS.items()}, progress)
-    names = [measured.scene.name for measured in studies]
+def _scenes_text(plan: Plan, doubt: float) -> str:
+    """Say what is run, what errors are relative to, and how far the reference is to trust."""
     coarse, fine = plan.reference_meshes
-    doubt = max(measured.reference_error.outcome for measured in studies)
-    parts = [
+    return (
         "**Scenes.** "
         + "; ".join(f"{s.name} ({s.layout} muscles, {s.duration:g} s, outcome: {s.outcome})" for s in plan.scenes)
         + f". Default design; the first two hold {LatticeDesign().max_tension:g} N from rest, the third follows the "
@@ -175,20 +170,24 @@ def report(folder: Path, *, quick: bool, command: str) -> bool:
         f"extrapolated linearly in the element length from {coarse} and {fine} elements per segment; from "
         f"{plan.check_meshes[0]} and {plan.check_meshes[1]} the outcome comes out within {_percent(doubt)} of it. "
         f"**Run time**: processor time of one thread per simulated second, median of {plan.repeats} interleaved "
-        "repeats, without compilation.",
+        "repeats, without compilation."
+    )
+
+
+def report(folder: Path, *, command: str, quick: bool) -> bool:
+    """Write work-precision.md, .json and .png; returns whether the fused engine needs 1/100 of PyElastica's time."""
+    plan = QUICK if quick else FULL
+    n_sample = 2 if quick else 6
+    apart = same_course(SCENES[0], n_sample)
+    gained, damped = pefrl_faults()
+    studies = [study(scene, plan) for scene in plan.scenes]
+    returns = gait_returns({task: count // (10 if quick else 1) for task, count in GAIT_STEPS.items()})
+    names = [measured.scene.name for measured in studies]
+    doubt = max(measured.reference_error.outcome for measured in studies)
+    parts = [
+        _scenes_text(plan, doubt),
         "Engines at equal error in time, default mesh, muscles as rods; each at its own cheapest step and damping:",
-        table(
-            [
-                "scene",
-                "error of the outcome",
-                "PyElastica takes",
-                "and needs",
-                "fused takes",
-                "and needs",
-                "fused over PyElastica",
-            ],
-            _target_rows(studies),
-        ),
+        table(TARGET_HEADER, _target_rows(studies)),
         "PyElastica's errors are those of the fused engine with PyElastica's damping, whose sites stay within "
         f"{apart:.0e} m of PyElastica's own over {SAMPLE_DT * n_sample:g} s of extension at a step of 0.4 ms; its run "
         "time is measured. Its PEFRL stepper is left out: under a constant force it gives "
@@ -211,9 +210,9 @@ def report(folder: Path, *, quick: bool, command: str) -> bool:
         "Largest step that held and smallest that failed, muscles as rods, either damping:",
         table(["elements per segment", *names], _failed_rows(studies)),
     ]
-    ratios = [found["pyelastica"].cost / found["fused"].cost for m in studies for found in m.targets.values()
-              if found["pyelastica"] and found["fused"]]  # fmt: skip
-    held = len(ratios) == len(studies) * len(TARGETS) and min(ratios) >= LEAST_GAIN
+    reached = [(found["pyelastica"], found["fused"]) for measured in studies for found in measured.targets.values()]
+    ratios = [reference.cost / fused.cost for reference, fused in reached if reference and fused]
+    good = len(ratios) == len(studies) * len(TARGETS) and min(ratios) >= LEAST_GAIN
     result = {
         "quick": quick,
         "studies": [_json(measured) for measured in studies],
@@ -221,8 +220,7 @@ def report(folder: Path, *, quick: bool, command: str) -> bool:
         "same_course": apart,
         "pefrl": {"velocity": gained, "damping": damped},
         "least_ratio": min(ratios, default=None),
-        "made": provenance(command),
     }
-    write(folder, "work-precision", result, parts)
+    write(folder, "work-precision", result, parts, command)
     draw(studies, folder / "work-precision.png")
-    return held
+    return good

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
-from lattice_gym.benchmarks.throughput_study import TENSION, Plan
+from lattice_gym.benchmarks.benchmark_scene import TENSION
+from lattice_gym.benchmarks.throughput.study import Plan
 from lattice_gym.benchmarks.timing import interleaved, median, seconds
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
@@ -95,7 +97,7 @@ def _worm(design: LatticeDesign, n_muscle: int | None = None) -> RodModel:
     return build_model(lattice, MuscleLayout(named_layout("all", lattice).active[:n_muscle]))
 
 
-def scaling(plan: Plan) -> dict[str, Growth]:
+def measure_growth(plan: Plan) -> dict[str, Growth]:
     """Cost against elements (in all), muscles and rods, each with the others held."""
     default = LatticeDesign()
     ratio = {pairs: pairs / LEVELS_PER_PAIR for pairs in plan.pairs}
@@ -113,7 +115,7 @@ def scaling(plan: Plan) -> dict[str, Growth]:
     for name, grown in models.items():
         for k, model in enumerate(grown):
             tasks[name, k] = _timer(model)
-    times = interleaved(tasks, plan.repeats)
+    times = interleaved(tasks, plan.repeats, "growth")
     return {
         name: Growth(counts[name], [times[name, k] for k in range(len(grown))], [record_bytes(one) for one in grown])
         for name, grown in models.items()
@@ -130,3 +132,12 @@ def _timer(model: RodModel) -> Callable[[], float]:
         return seconds(lambda: engine.advance(pull, N_STEPS)) / N_STEPS
 
     return timed
+
+
+def second_level_cache(caches: Path = Path("/sys/devices/system/cpu/cpu0/cache")) -> int | None:
+    """Size of the second-level cache of a core [bytes]; None where the machine does not say."""
+    for cache in sorted(caches.glob("index*")):
+        level, size = ((cache / name).read_text().strip() for name in ("level", "size"))
+        if level == "2" and size.endswith("K"):
+            return 1024 * int(size[:-1])
+    return None

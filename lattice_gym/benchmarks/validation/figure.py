@@ -4,24 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
+from lattice_gym.benchmarks.figures import COLOURS, ENGINE_COLOUR, GREY, INK, PALE, dress, new_figure, save
+from lattice_gym.benchmarks.validation.study import Validation
 from lattice_gym.checks import FloatArray
 from lattice_gym.verification.case import Outcome
 
-if TYPE_CHECKING:
-    from lattice_gym.benchmarks.validation import Validation
-
-_INK, _GREY, _PALE = "#22303c", "#7c8894", "#d5dde4"
-_COLOUR = {"fused": "#0b7fab", "pyelastica": "#e4572e"}
-_SCENE_COLOURS = (
-    *("#0b7fab", "#e4572e", "#2a9d5c", "#8e5bb5", "#d19a00", "#6b7a88"),
-    *("#1f3b73", "#b5446e", "#4aa3a2", "#8c6d31", "#3d9a3d"),
-)
 _MOST_MARKS = 16
 _COLUMNS = 6
 _ELEMENT_TICKS = (4, 8, 16, 32, 64, 128, 256)
@@ -32,7 +23,7 @@ def draw(validation: Validation, path: Path) -> None:
     curves = [pair for pair in validation.outcomes if len(pair[0].reading.x) > 3]
     numbers = [pair for pair in validation.outcomes if len(pair[0].reading.x) <= 3]
     n_rows = -(-len(curves) // _COLUMNS)
-    figure = Figure(figsize=(20.0, 2.8 * n_rows + 4.6), dpi=100, facecolor="white", layout="constrained")
+    figure = new_figure(20.0, 2.8 * n_rows + 4.6)
     grid = figure.add_gridspec(2, 1, height_ratios=[2.8 * n_rows, 4.3])
     upper, lower = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
     panels = upper.subplots(n_rows, _COLUMNS, squeeze=False).ravel()
@@ -41,27 +32,13 @@ def draw(validation: Validation, path: Path) -> None:
     for axes in panels[len(curves) :]:
         axes.set_axis_off()
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper right", ncols=3, frameon=False, fontsize=10, labelcolor=_INK)
-    figure.suptitle("Exact cases on both engines", x=0.01, ha="left", fontsize=14, fontweight="bold", color=_INK)
+    figure.legend(handles, labels, loc="upper right", ncols=3, frameon=False, fontsize=10, labelcolor=INK)
+    figure.suptitle("Exact cases on both engines", x=0.01, ha="left", fontsize=14, fontweight="bold", color=INK)
     left, middle, right = lower.subplots(1, 3, width_ratios=[1.0, 1.25, 1.6])
     _draw_numbers(left, numbers)
     _draw_meshes(middle, validation)
     _draw_steps(right, validation)
-    figure.savefig(path)
-
-
-def _dress(axes: Axes, title: str, x: str, y: str, note: str = "") -> None:
-    axes.set_title(title, loc="left", fontsize=10.5, fontweight="bold", color=_INK, pad=6 if not note else 17)
-    axes.text(0.0, 1.02, note, transform=axes.transAxes, fontsize=8, color=_GREY, va="bottom")
-    axes.set_xlabel(x, fontsize=9, color=_GREY, labelpad=1)
-    axes.set_ylabel(y, fontsize=9, color=_GREY, labelpad=2)
-    axes.tick_params(labelsize=8, colors=_GREY, length=3)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(_PALE)
-    axes.grid(color=_PALE, linewidth=0.5, alpha=0.7)
-    axes.set_axisbelow(True)
+    save(figure, path)
 
 
 def _draw_curve(axes: Axes, pair: Sequence[Outcome]) -> None:
@@ -69,16 +46,16 @@ def _draw_curve(axes: Axes, pair: Sequence[Outcome]) -> None:
     case, reading = pair[0].case, pair[0].reading
     errors = " and ".join(dict.fromkeys(f"{outcome.reading.error:.1e}" for outcome in pair))
     note = f"error {errors}, tolerance {pair[0].tolerance:.1e}"
-    _dress(axes, case.title, case.abscissa, case.quantity, note)
+    dress(axes, case.title, case.abscissa, case.quantity, note)
     axes.locator_params(nbins=5)
     zero = not reading.exact.any()
     if zero:
         axes.set_yscale("log")
         axes.set_ylim(_floor(pair), 10.0 * pair[0].tolerance)
-        axes.axhline(pair[0].tolerance, color=_INK, linewidth=1.0, linestyle="--")
-        axes.text(reading.x[0], pair[0].tolerance, "tolerance", fontsize=8, color=_INK, va="bottom")
+        axes.axhline(pair[0].tolerance, color=INK, linewidth=1.0, linestyle="--")
+        axes.text(reading.x[0], pair[0].tolerance, "tolerance", fontsize=8, color=INK, va="bottom")
     else:
-        lines = axes.plot(reading.x, _shown(pair[0], exact=True), color=_PALE, linewidth=7.0, solid_capstyle="round")
+        lines = axes.plot(reading.x, _shown(pair[0], exact=True), color=PALE, linewidth=7.0, solid_capstyle="round")
         lines[0].set_label("exact")
     every = -(-len(reading.x) // _MOST_MARKS)
     for outcome, mark, size in zip(pair, ("o", "x"), (6.0, 5.0), strict=True):
@@ -87,7 +64,7 @@ def _draw_curve(axes: Axes, pair: Sequence[Outcome]) -> None:
             reading.x[::every],
             np.abs(y[::every]) if zero else y[::every],
             mark,
-            color=_COLOUR[outcome.engine],
+            color=ENGINE_COLOUR[outcome.engine],
             markersize=size,
             markerfacecolor="white" if mark == "o" else None,
             markeredgewidth=1.4,
@@ -110,7 +87,7 @@ def _shown(outcome: Outcome, *, exact: bool) -> FloatArray:
 
 def _draw_numbers(axes: Axes, pairs: Sequence[Sequence[Outcome]]) -> None:
     """Deviations of single numbers from the exact ones, each over the tolerance of its case."""
-    _dress(axes, "Single results", "deviation over tolerance", "")
+    dress(axes, "Single results", "deviation over tolerance", "")
     names, row = [], 0
     for pair in pairs:
         labels = pair[0].case.quantity.split(", ")
@@ -119,7 +96,7 @@ def _draw_numbers(axes: Axes, pairs: Sequence[Sequence[Outcome]]) -> None:
                 reading = outcome.reading
                 deviation = (reading.measured[k] - reading.exact[k]) / np.abs(reading.exact).max() / outcome.tolerance
                 face = "white" if mark == "o" else None
-                colour = _COLOUR[outcome.engine]
+                colour = ENGINE_COLOUR[outcome.engine]
                 axes.plot(deviation, row, mark, color=colour, markersize=7, markerfacecolor=face, markeredgewidth=1.5)
             several = len(pair[0].reading.x) > 1
             part = labels[k] if len(labels) > k and len(labels) > 1 else f"mode {k + 1}"
@@ -128,19 +105,19 @@ def _draw_numbers(axes: Axes, pairs: Sequence[Sequence[Outcome]]) -> None:
             )
             row += 1
     axes.axvspan(-1.0, 1.0, color="#e8f3ec", zorder=0)
-    axes.axvline(0.0, color=_GREY, linewidth=0.8)
+    axes.axvline(0.0, color=GREY, linewidth=0.8)
     axes.set_xlim(-1.15, 1.15)
     axes.set_yticks(range(row), names)
     axes.set_ylim(row - 0.4, -0.6)
 
 
 def _draw_meshes(axes: Axes, validation: Validation) -> None:
-    _dress(axes, "Order in the number of elements", "elements", "relative error")
+    dress(axes, "Order in the number of elements", "elements", "relative error")
     axes.set_xscale("log")
     axes.set_yscale("log")
-    colours = dict(zip(dict.fromkeys(mesh.case.name for mesh in validation.meshes), _SCENE_COLOURS, strict=False))
+    colours = dict(zip(dict.fromkeys(mesh.case.name for mesh in validation.meshes), COLOURS, strict=False))
     for mesh in validation.meshes:
-        colour = colours.get(mesh.case.name, _GREY)
+        colour = colours.get(mesh.case.name, GREY)
         if mesh.engine == "fused":
             label = f"{mesh.case.title.partition(',')[0]}: {mesh.fitted:.2f}"
             lines = axes.plot(mesh.n_elem, mesh.error, "-o", color=colour, markersize=6, markerfacecolor="white")
@@ -156,18 +133,18 @@ def _draw_meshes(axes: Axes, validation: Validation) -> None:
         axes.minorticks_off()
         axes.set_xlim(0.8 * min(sizes), 1.3 * max(sizes))
         axes.set_ylim(top=20.0 * max(e for mesh in validation.meshes for e in mesh.error))
-        axes.legend(frameon=False, fontsize=8.5, labelcolor=_INK, loc="upper right")
+        axes.legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="upper right")
 
 
 def _draw_steps(axes: Axes, validation: Validation) -> None:
     note = "solid: order 2 expected, dashed: order 1"
-    _dress(axes, "Order in the time step", "dt over the largest of its scene", "relative error", note)
+    dress(axes, "Order in the time step", "dt over the largest of its scene", "relative error", note)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    colours = dict(zip(dict.fromkeys(steps.scene for steps in validation.steps), _SCENE_COLOURS, strict=False))
+    colours = dict(zip(dict.fromkeys(steps.scene for steps in validation.steps), COLOURS, strict=False))
     for steps in validation.steps:
         x = np.array(steps.dt) / max(steps.dt)
-        colour = colours.get(steps.scene, _GREY)
+        colour = colours.get(steps.scene, GREY)
         if steps.engine == "fused":
             how = {"pyelastica": ", as PyElastica", "symmetric": ", symmetric"}[steps.splitting] if steps.split else ""
             style = "--o" if steps.expected == 1.0 else "-o"
@@ -180,11 +157,11 @@ def _draw_steps(axes: Axes, validation: Validation) -> None:
         axes.set_xticks([0.25, 0.5, 1.0], ["1/4", "1/2", "1"])
         axes.minorticks_off()
         axes.set_xlim(0.22, 1.15)
-        axes.legend(frameon=False, fontsize=8.5, labelcolor=_INK, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        axes.legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def _guide(axes: Axes, x: tuple[float, float], start: float, order: float) -> None:
     """Draw a grey line of the given slope from (x[0], start) to x[1]."""
     y = [start, start * (x[1] / x[0]) ** order]
-    axes.plot(x, y, color=_GREY, linewidth=1.0, linestyle=":")
-    axes.text(np.sqrt(x[0] * x[1]), 0.5 * np.sqrt(y[0] * y[1]), "order 2", fontsize=8, color=_GREY)
+    axes.plot(x, y, color=GREY, linewidth=1.0, linestyle=":")
+    axes.text(np.sqrt(x[0] * x[1]), 0.5 * np.sqrt(y[0] * y[1]), "order 2", fontsize=8, color=GREY)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
 
+from lattice_gym.benchmarks.timing import interleaved, seconds_per_step
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
 from lattice_gym.engines.registry import EngineName, make_engine
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.activation import advance_activation
@@ -175,20 +175,12 @@ def step_costs(
 ) -> list[list[float]]:
     """Processor time of a step [s] with each engine and setting, one a repeat; the repeats are interleaved.
 
-    Processor time of this process, one thread: what else runs on the machine does not count, though it may slow it. The
-    motion starts from rest in every repeat; while it is stable, a step costs the same at any size.
+    Processor time of this process, one thread: what else runs on the machine does not count, though it may slow it.
     """
-    engines: list[tuple[Engine, FloatArray, int]] = []
-    for name, setting in settings:
+    tasks: dict[int, Callable[[], float]] = {}
+    for k, (name, setting) in enumerate(settings):
         lattice, layout, model = worm(scene, *setting.mesh)
         engine = make_engine(name, model, setting.dt, setting.splitting)
-        engines.append((engine, scene.tensions(lattice, layout)[0], n_steps[name]))
-        engine.advance(engines[-1][1], 2)  # compiles
-    costs: list[list[float]] = [[] for _ in settings]
-    for _ in range(repeats):
-        for (engine, tension, count), cost in zip(engines, costs, strict=True):
-            engine.restore(engine.model.rest_state())
-            start = time.process_time()
-            engine.advance(tension, count)
-            cost.append((time.process_time() - start) / count)
-    return costs
+        tension = scene.tensions(lattice, layout)[0]
+        tasks[k] = partial(seconds_per_step, engine, tension, n_steps[name], time.process_time)
+    return list(interleaved(tasks, repeats, f"{scene.name}, cost of a step").values())

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from pathlib import Path
 
 ENV_ID = "LatticeWorm-v0"
 _FIRST_STEP = f"""
@@ -18,8 +19,10 @@ print("stepped", flush=True)
 """
 
 
-def first_step(cache: str) -> float:
+def first_step(cache: str, checkout: Path | None = None) -> float:
     """Seconds from the start of Python to the end of the first step, with compiled code kept in a folder.
+
+    The package is that of a checkout, by default the one that this process would import.
 
     Raises
     ------
@@ -29,7 +32,8 @@ def first_step(cache: str) -> float:
     start = time.perf_counter()
     with subprocess.Popen(
         [sys.executable, "-c", _FIRST_STEP],
-        env=os.environ | {"NUMBA_CACHE_DIR": cache},
+        cwd=checkout,
+        env=os.environ | {"NUMBA_CACHE_DIR": cache} | ({} if checkout is None else {"PYTHONPATH": str(checkout)}),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

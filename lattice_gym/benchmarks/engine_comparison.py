@@ -1,40 +1,30 @@
-"""The fused engine against PyElastica: how far apart they are, and how much faster it is.
-
-The benchmark scene is the paper's extension motion: default design, `extension` layout, 0.5 N in every muscle.
-"""
+"""The fused engine against PyElastica: how far apart they are, and how much faster it is."""
 
 from __future__ import annotations
 
-import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lattice_gym.benchmarks.benchmark_scene import BENCHMARK_DT, CONTROL_DT, ENGINES, TENSION, benchmark_model
 from lattice_gym.benchmarks.results_files import table, write
+from lattice_gym.benchmarks.timing import interleaved, seconds_per_step
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.engines.base import Engine
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.registry import make_engine
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.stable_step import default_dt
 from lattice_gym.physics.worm import build_model
-from lattice_gym.recording.provenance import provenance
 
-ENGINES: tuple[EngineName, EngineName] = ("fused", "pyelastica")
-BENCHMARK_DT = 1e-4
 FIELDS = {"position": "m", "velocity": "m/s", "directors": "1", "omega": "rad/s"}
-EPISODE, CONTROL_DT = 10.0, 0.05
-"""Duration of the longest registered episode and its control step [s]."""
+EPISODE = 10.0
+"""Duration of the longest registered episode [s]."""
 STEP_LIMIT, EPISODE_LIMIT, SPEED_LIMIT = 1e-12, 1e-9, 100.0
 """Agreement after one step (position and velocity over their largest) and after an episode (position [m]); ratio."""
-
-
-def benchmark_model() -> RodModel:
-    """Model of the benchmark scene."""
-    lattice = build_lattice(LatticeDesign())
-    return build_model(lattice, named_layout("extension", lattice))
 
 
 def agreement(model: RodModel, n_control: int) -> list[dict[str, Any]]:
@@ -42,12 +32,12 @@ def agreement(model: RodModel, n_control: int) -> list[dict[str, Any]]:
     dt = default_dt(model, CONTROL_DT)
     engines = [make_engine(name, model, dt) for name in ENGINES]
     rng = np.random.default_rng(0)
-    pull = rng.uniform(0.0, 0.5, model.n_muscle)
+    pull = rng.uniform(0.0, TENSION, model.n_muscle)
     for engine in engines:
         engine.advance(pull, 1)
     after = [("one step", _differences(*engines))]
     for _ in range(n_control):
-        ramp = rng.uniform(0.0, 0.5, (2, model.n_muscle))
+        ramp = rng.uniform(0.0, TENSION, (2, model.n_muscle))
         for engine in engines:
             engine.advance(ramp, round(CONTROL_DT / dt))
     steps = n_control * round(CONTROL_DT / dt)
@@ -73,19 +63,11 @@ def _shown(row: dict[str, Any], field: str) -> str:
 
 def speed(model: RodModel, repeats: int) -> dict[str, list[float]]:
     """Seconds per step of either engine, interleaved; the same number of steps of the same motion in every repeat."""
-    steps = {"fused": 2000, "pyelastica": 100}
-    pull = np.full(model.n_muscle, 0.5)
-    times: dict[str, list[float]] = {name: [] for name in ENGINES}
+    steps, pull = {"fused": 2000, "pyelastica": 100}, np.full(model.n_muscle, TENSION)
     engines = {name: make_engine(name, model, BENCHMARK_DT) for name in ENGINES}
-    rest = model.rest_state()
-    for repeat in range(-1, repeats):
-        for name in ENGINES:
-            engines[name].restore(rest)
-            start = time.perf_counter()
-            engines[name].advance(pull, steps[name])
-            if repeat >= 0:  # the first round compiles and warms up
-                times[name].append((time.perf_counter() - start) / steps[name])
-    return times
+    return interleaved(
+        {name: partial(seconds_per_step, engine, pull, steps[name]) for name, engine in engines.items()}, repeats
+    )
 
 
 def report(folder: Path, *, command: str, repeats: int = 7, n_control: int = round(EPISODE / CONTROL_DT)) -> bool:
@@ -106,7 +88,6 @@ def report(folder: Path, *, command: str, repeats: int = 7, n_control: int = rou
         "seconds_per_step": times,
         "median_seconds_per_step": medians,
         "ratio": ratio,
-        "made": provenance(command),
     }
     tables = [
         "Largest difference between the engines (over the largest value), default design, all 90 muscles:",
@@ -121,5 +102,5 @@ def report(folder: Path, *, command: str, repeats: int = 7, n_control: int = rou
         table(["engine", "us per step"], [[name, f"{1e6 * medians[name]:.1f}"] for name in ENGINES]),
         f"The fused engine is {ratio:.0f} times faster (pair by pair {pairs.min():.0f} to {pairs.max():.0f}).",
     ]
-    write(folder, "engines", result, tables)
+    write(folder, "engines", result, tables, command)
     return agree and ratio >= SPEED_LIMIT

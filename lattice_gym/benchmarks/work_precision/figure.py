@@ -3,52 +3,50 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 
-from lattice_gym.benchmarks.precision_study import DEFAULT_MESH, TARGETS, Point, Study
-from lattice_gym.rendering.extras import extra
+from lattice_gym.benchmarks.figures import COLOURS, INK, dress, new_figure, save
+from lattice_gym.benchmarks.work_precision.study import DEFAULT_MESH, TARGETS, Point, Study
 
-TEXT, GRID, REFERENCE, PLAIN, SYMMETRIC, FRONT = "#333333", "#dddddd", "#8c6d31", "#5b84b1", "#b5305f", "#222222"
+SYMMETRIC = COLOURS[7]
 CURVES = (
-    ("pyelastica", "pyelastica", REFERENCE, "s", "PyElastica"),
-    ("fused", "pyelastica", PLAIN, "o", "fused, PyElastica's damping"),
+    ("pyelastica", "pyelastica", COLOURS[1], "s", "PyElastica"),
+    ("fused", "pyelastica", COLOURS[0], "o", "fused, PyElastica's damping"),
     ("fused", "symmetric", SYMMETRIC, "D", "fused, symmetric damping"),
 )
+Colour = tuple[float, float, float, float]
 MARKERS = {"rod": "o", "line": "^"}
 
 
 def draw(studies: list[Study], path: Path) -> None:
     """Write the PNG: above the error in time on the default mesh, below the error of the whole."""
-    figure = extra("matplotlib.figure").Figure(figsize=(4.1 * len(studies) + 1.0, 8.4), layout="constrained")
+    figure = new_figure(4.1 * len(studies) + 1.0, 8.4)
     rows = figure.subplots(2, len(studies), squeeze=False, sharey="row")
     meshes = sorted({p.setting.elements_per_segment for m in studies for p in m.points})
-    colours = dict(
-        zip(meshes, extra("matplotlib").colormaps["viridis"](np.linspace(0.0, 0.93, len(meshes))), strict=True)
-    )
-    for axes, measured in zip(rows[0], studies, strict=True):
-        _draw_time(axes, measured)
-        axes.set_title(f"{measured.scene.name}: {measured.scene.outcome}", fontsize=12, color=TEXT)
-    for axes, measured in zip(rows[1], studies, strict=True):
-        _draw_whole(axes, measured, colours)
-    for axes in rows.flat:
-        axes.grid(which="major", color=GRID, linewidth=0.6)
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.tick_params(labelsize=9, colors=TEXT)
-        axes.set_xlabel("computing [s per simulated s]", fontsize=10, color=TEXT)
-    rows[0, 0].set_ylabel(f"error in time alone\n({DEFAULT_MESH} elements per segment, muscles as rods)", fontsize=10)
-    rows[1, 0].set_ylabel("error of the whole\n(against vanishing elements; fused engine)", fontsize=10)
+    shades = colormaps["viridis"](np.linspace(0.0, 0.93, len(meshes)))
+    colours: dict[int, Colour] = {mesh: tuple(shade) for mesh, shade in zip(meshes, shades, strict=True)}
+    computing = "computing [s per simulated s]"
+    for k, measured in enumerate(studies):
+        upper, lower = rows[:, k]
+        in_time = f"error in time alone\n({DEFAULT_MESH} elements per segment, muscles as rods)"
+        whole = "error of the whole\n(against vanishing elements; fused engine)"
+        dress(upper, f"{measured.scene.name}: {measured.scene.outcome}", computing, "" if k else in_time)
+        dress(lower, "", computing, "" if k else whole)
+        _draw_time(upper, measured)
+        _draw_whole(lower, measured, colours)
     for row, room in zip(rows, (5.0, 2.5), strict=True):
         row[0].set_ylim(top=room * row[0].get_ylim()[1])
     rows[0, -1].legend(fontsize=9, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     _legend_whole(rows[1, -1], colours)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
+    save(figure, path)
 
 
-def _draw_time(axes: Any, measured: Study) -> None:
+def _draw_time(axes: Axes, measured: Study) -> None:
     own = [p for p in measured.points if p.setting.mesh == (DEFAULT_MESH, "rod")]
     for row, (engine, splitting, colour, marker, label) in enumerate(CURVES):
         points = [p for p in own if (p.engine, p.setting.splitting) == (engine, splitting)]
@@ -56,12 +54,12 @@ def _draw_time(axes: Any, measured: Study) -> None:
         costs, errors = [p.cost for p in sound], [p.time_error.outcome for p in sound]
         axes.loglog(costs, errors, color=colour, marker=marker, markersize=5, linewidth=1.4, label=label)
         _draw_failed(axes, points, colour, row)
-    axes.plot([], [], "x", color=TEXT, markersize=5, label="diverged")
+    axes.plot([], [], "x", color=INK, markersize=5, label="diverged")
     for target in TARGETS:
-        axes.axhline(target, color=TEXT, linewidth=0.8, linestyle=(0, (4, 3)))
+        axes.axhline(target, color=INK, linewidth=0.8, linestyle=(0, (4, 3)))
 
 
-def _draw_whole(axes: Any, measured: Study, colours: dict[int, Any]) -> None:
+def _draw_whole(axes: Axes, measured: Study, colours: dict[int, Colour]) -> None:
     shown = [p for p in measured.points if p.engine == "fused" and p.setting.splitting == "symmetric"]
     for row, (mesh, colour) in enumerate(colours.items()):
         for model, marker in MARKERS.items():
@@ -71,8 +69,8 @@ def _draw_whole(axes: Any, measured: Study, colours: dict[int, Any]) -> None:
             axes.loglog(costs, errors, color=colour, marker=marker, markersize=4.5, linewidth=0.7, alpha=alpha)
         _draw_failed(axes, [p for p in shown if p.setting.mesh == (mesh, "rod")], colour, row)
     best = measured.best()
-    axes.loglog([p.cost for p in best], [p.error.outcome for p in best], color=FRONT, linewidth=1.2, linestyle=":")
-    halo = [extra("matplotlib.patheffects").withStroke(linewidth=3.0, foreground="white")]
+    axes.loglog([p.cost for p in best], [p.error.outcome for p in best], color=INK, linewidth=1.2, linestyle=":")
+    halo = [withStroke(linewidth=3.0, foreground="white")]
     for name, point in measured.fidelities.items():
         place = point.cost, point.error.outcome
         axes.plot(*place, marker="*", markersize=15, color=SYMMETRIC, markeredgecolor="white")
@@ -82,23 +80,22 @@ def _draw_whole(axes: Any, measured: Study, colours: dict[int, Any]) -> None:
         )  # fmt: skip
 
 
-def _draw_failed(axes: Any, points: list[Point], colour: Any, row: int) -> None:
+def _draw_failed(axes: Axes, points: list[Point], colour: str | Colour, row: int) -> None:
     """Crosses in a row at the top edge: diverged, at the run time they would have had."""
     costs = [p.cost for p in points if p.status != "ok"]
     height = np.full(len(costs), 0.98 - 0.022 * row)
     axes.plot(costs, height, "x", color=colour, markersize=5, markeredgewidth=1.3, transform=axes.get_xaxis_transform())
 
 
-def _legend_whole(axes: Any, colours: dict[int, Any]) -> None:
-    line = extra("matplotlib.lines").Line2D
+def _legend_whole(axes: Axes, colours: dict[int, Colour]) -> None:
     handles = [
-        line([], [], color=colour, marker="o", markersize=5, label=f"{mesh}") for mesh, colour in colours.items()
+        Line2D([], [], color=colour, marker="o", markersize=5, label=f"{mesh}") for mesh, colour in colours.items()
     ]
     handles += [
-        line([], [], color=TEXT, marker=MARKERS["line"], markersize=5, linewidth=0.7, label="muscles as lines"),
-        line([], [], color=FRONT, linestyle=":", label="best"),
-        line([], [], color=TEXT, marker="x", linestyle="none", label="diverged"),
-        line([], [], color=SYMMETRIC, marker="*", markersize=11, linestyle="none", label="fidelity"),
+        Line2D([], [], color=INK, marker=MARKERS["line"], markersize=5, linewidth=0.7, label="muscles as lines"),
+        Line2D([], [], color=INK, linestyle=":", label="best"),
+        Line2D([], [], color=INK, marker="x", linestyle="none", label="diverged"),
+        Line2D([], [], color=SYMMETRIC, marker="*", markersize=11, linestyle="none", label="fidelity"),
     ]
     axes.legend(
         handles=handles, title="elements per segment", title_fontsize=9, fontsize=8.5, frameon=False,
