@@ -15,7 +15,8 @@ from lattice_gym.benchmarks.divergence import judge, report, runs
 from lattice_gym.benchmarks.divergence.judge import WRONG, Run, Truth, compare
 from lattice_gym.benchmarks.divergence.report import all_caught, count
 from lattice_gym.benchmarks.divergence.runs import FIRST_SEED, N_CONTROL
-from lattice_gym.engines.base import Engine, Health, Status
+from lattice_gym.engines.energy_audit import EnergyAudit
+from lattice_gym.engines.health import Health, Status
 
 
 def _run(verdict: str, status: str, delay: int | None) -> Run:
@@ -78,7 +79,7 @@ def test_a_run_with_nothing_to_compare_is_undecided(monkeypatch: pytest.MonkeyPa
 def test_the_references_ignore_their_energy_check(monkeypatch: pytest.MonkeyPatch) -> None:
     """What it flags is no failure of theirs; its ledger is read."""
     monkeypatch.setattr(runs, "N_CONTROL", 2)
-    monkeypatch.setattr(Engine, "_audit", flagged(Engine._audit))
+    monkeypatch.setattr(EnergyAudit, "close", flagged(EnergyAudit.close))
     truth = judge.find_truth(runs.plan(FIRST_SEED))
     assert (truth.status, len(truth.positions), truth.residual > 0.0) == ("ok", 3, True)
 
@@ -86,8 +87,8 @@ def test_the_references_ignore_their_energy_check(monkeypatch: pytest.MonkeyPatc
 def flagged(audit: Callable[..., Health]) -> Callable[..., Health]:
     """Make an audit that always finds spurious energy."""
 
-    def wrong(engine: Engine, *arguments: Any) -> Health:
-        audit(engine, *arguments)
+    def wrong(*arguments: Any) -> Health:
+        audit(*arguments)
         return Health(Status.ENERGY, 0, 0)
 
     return wrong

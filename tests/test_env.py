@@ -30,7 +30,7 @@ from lattice_gym.benchmarks.divergence.runs import plan
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.engines.base import Health, Status
+from lattice_gym.engines.health import Health, Status
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.envs.env import QUIET, LatticeWormEnv, _world
 from lattice_gym.envs.episode import DIVERGENCE_PENALTY

@@ -13,7 +13,7 @@ from typing import Any
 
 import tyro
 
-from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.registry import ENGINES, EngineName
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,13 +21,16 @@ class Paper:
     """The paper's three motions beside its Table 2."""
 
     engine: EngineName = "fused"
+    """Name of the engine: fused or pyelastica."""
     tension: tuple[float, ...] = (0.5, 1.0)
     """Tension in each muscle [N]; one table row a motion for each."""
     pictures: bool = True
     """Draw the final shapes."""
 
     def __post_init__(self) -> None:
-        """Check the tensions."""
+        """Check the engine's name and the tensions."""
+        if self.engine not in ENGINES:
+            raise ValueError(f"engine = {self.engine}: must be one of {', '.join(ENGINES)}")
         if not self.tension or not all(math.isfinite(value) and value > 0.0 for value in self.tension):
             raise ValueError(f"tension = {self.tension}: must be positive and finite")
 

@@ -14,8 +14,7 @@ from lattice_gym.benchmarks.timing import interleaved, seconds_per_step
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.engines.base import Engine
-from lattice_gym.engines.registry import make_engine
+from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.stable_step import default_dt
 from lattice_gym.physics.worm import build_model
@@ -30,7 +29,7 @@ STEP_LIMIT, EPISODE_LIMIT, SPEED_LIMIT = 1e-12, 1e-9, 100.0
 def agreement(model: RodModel, n_control: int) -> list[dict[str, Any]]:
     """Largest difference of every field of the state after one step and after `n_control` random control periods."""
     dt = default_dt(model, CONTROL_DT)
-    engines = [make_engine(name, model, dt) for name in ENGINES]
+    engines = [simulate(name, model, dt) for name in ENGINES]
     rng = np.random.default_rng(0)
     pull = rng.uniform(0.0, TENSION, model.n_muscle)
     for engine in engines:
@@ -45,7 +44,7 @@ def agreement(model: RodModel, n_control: int) -> list[dict[str, Any]]:
     return [{"after": label, **differences} for label, differences in after]
 
 
-def _differences(fused: Engine, reference: Engine) -> dict[str, float]:
+def _differences(fused: Simulation, reference: Simulation) -> dict[str, float]:
     """Largest difference of every field, and for `relative NAME` over the field's largest value."""
     a, b = fused.state, reference.state
     differences = {field: float(np.abs(getattr(a, field) - getattr(b, field)).max()) for field in FIELDS}
@@ -64,7 +63,7 @@ def _shown(row: dict[str, Any], field: str) -> str:
 def speed(model: RodModel, repeats: int) -> dict[str, list[float]]:
     """Seconds per step of either engine, interleaved; the same number of steps of the same motion in every repeat."""
     steps, pull = {"fused": 2000, "pyelastica": 100}, np.full(model.n_muscle, TENSION)
-    engines = {name: make_engine(name, model, BENCHMARK_DT) for name in ENGINES}
+    engines = {name: simulate(name, model, BENCHMARK_DT) for name in ENGINES}
     return interleaved(
         {name: partial(seconds_per_step, engine, pull, steps[name]) for name, engine in engines.items()}, repeats
     )

@@ -16,7 +16,8 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.measures import bend_angle, dilatation, joint_gap, straightness, strain
 from lattice_gym.physics.state import RodState
@@ -90,7 +91,7 @@ def run_motion(motion: Motion, tension: float, engine_name: EngineName) -> tuple
     """Hold `tension` [N] in every muscle of the motion's layout for the paper's time at the paper's step."""
     lattice = build_lattice(LatticeDesign())
     model = build_model(lattice, named_layout(motion.name, lattice))
-    engine = make_engine(engine_name, model, motion.dt)
+    engine = simulate(engine_name, model, motion.dt)
     start = time.perf_counter()
     health = engine.advance(np.full(model.n_muscle, tension), round(motion.simulated / motion.dt))
     run_time = time.perf_counter() - start
@@ -117,7 +118,7 @@ def _compile(engine_name: EngineName) -> float:
     start = time.perf_counter()
     lattice = build_lattice(LatticeDesign())
     model = build_model(lattice, named_layout("all", lattice))
-    make_engine(engine_name, model, 1e-4).advance(np.zeros(model.n_muscle), 1)
+    simulate(engine_name, model, 1e-4).advance(np.zeros(model.n_muscle), 1)
     return time.perf_counter() - start
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
+from lattice_gym.engines.simulation import Simulation
 
 Key = TypeVar("Key", bound=Hashable)
 Made = TypeVar("Made")
@@ -25,7 +25,7 @@ def seconds(action: Callable[[], object], clock: Callable[[], float] = time.thre
 
 
 def seconds_per_step(
-    engine: Engine, tension: FloatArray, n_steps: int, clock: Callable[[], float] = time.thread_time
+    engine: Simulation, tension: FloatArray, n_steps: int, clock: Callable[[], float] = time.thread_time
 ) -> float:
     """Time of a step [s] of a motion from rest under a tension [N]; while it is stable, steps cost the same."""
     engine.restore(engine.model.rest_state())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any, ClassVar, get_args
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -15,8 +15,9 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import MuscleLayout, control_groups, resolve_layout
 from lattice_gym.checks import FloatArray, IntArray, Part, is_number, shown, whole_number
-from lattice_gym.engines.base import Engine, Health
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.health import Health
+from lattice_gym.engines.registry import ENGINES, EngineName
+from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.envs.episode import Episodes
 from lattice_gym.envs.fidelity import FidelityName, named_fidelity
 from lattice_gym.envs.observation import OBSERVATIONS, Observation, Observer
@@ -277,8 +278,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         rods that are sheared and stretched at once is no potential's: a violent snap may be flagged at any step.
     step_check
         Take a run at half the step along and end an episode where it leads elsewhere, by more than
-        `engines.STEP_TOLERANCE` of the longest side: the one check that also catches a run which goes astray smoothly,
-        as near a snap. Three times the computing. A pickled environment begins the comparison anew.
+        `step_doubling.STEP_TOLERANCE` of the longest side: the one check that also catches a run which goes astray
+        smoothly, as near a snap. Three times the computing. A pickled environment begins the comparison anew.
     control_dt
         Time between actions [s].
     observation
@@ -347,7 +348,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ) -> None:
         _check_choice("task", task, tuple(TASKS))
         _check_choice("observation", observation, OBSERVATIONS)
-        _check_choice("engine", engine, get_args(EngineName))
+        _check_choice("engine", engine, tuple(ENGINES))
         if render_mode is not None:
             _check_choice("render_mode", render_mode, tuple(METADATA["render_modes"]))
         self.control_dt = _number("control_dt", control_dt, SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT, "s")
@@ -375,7 +376,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self.metadata = {**METADATA, "render_fps": 1.0 / self.control_dt}
         self._renderer: Renderer | None = None
         self._body = self.model
-        self._engine: Engine = self._make_engine()
+        self._engine: Simulation = self._make_engine()
 
         self.task.rest = self._start = self._settled()
         self._episode = self._episodes(self.task)
@@ -501,8 +502,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         )
         return Episodes(task, observer, self.design, self.groups, self.adaptation, self.randomisation)
 
-    def _make_engine(self) -> Engine:
-        return make_engine(self.engine_name, self._body, self.dt, self.splitting, self.energy_check, self.step_check)
+    def _make_engine(self) -> Simulation:
+        return simulate(self.engine_name, self._body, self.dt, self.splitting, self.energy_check, self.step_check)
 
     def _substeps(self, dt: object, allow_large_dt: object) -> tuple[int, float]:
         """Physics steps in a control step, and their length [s]."""
@@ -543,7 +544,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         body = replace(self.model, medium_drag=min(self.model.medium_drag, SETTLING_DRAG))
         # Slack muscles damp nothing, whatever their law, and need no shorter step for it.
         step = default_dt(replace(body, hill=None), SETTLING_SPAN, self.design.max_tension)
-        engine, start, now, speed = make_engine("fused", body, step), state, state, np.inf
+        engine, start, now, speed = simulate("fused", body, step), state, state, np.inf
         for _ in range(round(LONGEST_SETTLING / SETTLING_SPAN)):
             health, before = engine.advance(np.zeros(self.model.n_muscle), round(SETTLING_SPAN / step)), now
             if not health.ok:

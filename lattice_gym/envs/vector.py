@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from lattice_gym.checks import FloatArray, IntArray, shown, whole_number
+from lattice_gym.engines.registry import make_engine
 from lattice_gym.envs.env import OK, LatticeWormEnv, clipped_command, seed_of
 from lattice_gym.envs.goal import LatticeWormGoalEnv
 from lattice_gym.envs.observation import Observation
@@ -86,13 +87,11 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         self.action_space = batch_space(one.action_space, self.num_envs)
         self.observation_space = batch_space(one.observation_space, self.num_envs)
         self._episodes, self._start = one.episodes(self.num_envs), one.start
-        from lattice_gym.engines.batch import BatchEngine  # compiled code, which the package does not load unasked
-
-        self._engine = BatchEngine(
+        self._engine = make_engine(
+            one.engine_name,
             [one.model] * self.num_envs,
             one.dt,
             one.splitting,
-            engine=one.engine_name,
             energy_check=one.energy_check,
             step_check=one.step_check,
             num_threads=num_threads,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
+from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import Ball, Clamp, RodModel
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
@@ -54,7 +54,7 @@ def ball_at_rest(n_elem: int) -> Scene:
     damping = 2.0 * np.sqrt(SOFT)
     model = _on_rails(n_elem, (0.0,), CONTACT, stiffness=SOFT, damping=damping, force=(0.0, 0.0, -GRAVITY))
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         depth = CONTACT - advance_by(engine, 1.2).bolus_position[:, 2]
         return Reading(np.array([1.2]), 1e3 * depth, np.array([1e3 * GRAVITY / SOFT]))
 
@@ -79,7 +79,7 @@ def ball_that_rolls(n_elem: int) -> Scene:
     assert model.bolus is not None
     gain, rolling = FRICTION * GRAVITY * arm**2 / model.bolus.inertia, arm**2 / (arm**2 + model.bolus.inertia)
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times = np.linspace(0.02, 0.2, 10)
         measured = sample(engine, times, lambda s: np.array([s.bolus_velocity[0, 0], arm * s.bolus_omega[0, 1]]))
         exact = np.maximum(1.0 - FRICTION * GRAVITY * times, rolling), np.minimum(gain * times, rolling)
@@ -99,7 +99,7 @@ def _pressed(n_elem: int, load: float) -> Scene:
     force = (load * limit, 0.0, 0.0)
     model = _on_rails(n_elem, (-across, across), 0.0, stiffness=SOFT, friction=FRICTION, force=force)
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times = np.linspace(0.1, 0.5, 5)
         way = sample(engine, times, lambda state: state.bolus_position[0, 0] - 0.5 * ELEMENT)
         exact = 0.5 * max(load - 1.0, 0.0) * limit * times**2
@@ -177,7 +177,7 @@ def ball_hits_rod(n_elem: int) -> Scene:
         """Momentum, and angular momentum about the origin over the ball's radius, since the start [kg m/s]."""
         return np.array((momenta(model, state) - before) / [[1.0], [RADIUS]])
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times, scale = np.linspace(1e-3, 5e-3, 5), float(np.linalg.norm(before[0]))
         return Reading(1e3 * times, sample(engine, times, gained), np.zeros((5, 2, 3)), scale=scale)
 

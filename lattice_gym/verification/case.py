@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.state import RodState
@@ -47,11 +47,11 @@ class Scene:
     model: RodModel
     start: RodState
     dt: float
-    observe: Callable[[Engine], Reading]
+    observe: Callable[[Simulation], Reading]
 
     def run(self, engine_name: EngineName, splitting: Splitting = "pyelastica") -> tuple[Reading, RodState]:
         """Measure on an engine; returns its last state, too."""
-        engine = make_engine(engine_name, self.model, self.dt, splitting)
+        engine = simulate(engine_name, self.model, self.dt, splitting)
         engine.restore(self.start)
         return self.observe(engine), engine.state
 
@@ -158,7 +158,7 @@ def difference(first: Outcome, second: Outcome) -> float:
     return float(max(apart, np.abs(a.directors - b.directors).max()))
 
 
-def advance_by(engine: Engine, duration: float, tension: FloatArray | None = None) -> RodState:
+def advance_by(engine: Simulation, duration: float, tension: FloatArray | None = None) -> RodState:
     """Advance by the whole steps next to `duration` [s], at least one; returns the state.
 
     Muscles hold a constant `tension` [N], shape (n_muscle,); a scene without muscles needs none.
@@ -175,7 +175,7 @@ def advance_by(engine: Engine, duration: float, tension: FloatArray | None = Non
 
 
 def sample(
-    engine: Engine,
+    engine: Simulation,
     times: Iterable[float],
     measure: Callable[[RodState], FloatArray | float],
     tension: FloatArray | None = None,

@@ -8,7 +8,7 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
+from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.worm import build_model
@@ -45,7 +45,7 @@ def _free_lattice(n_elem: int, which: int) -> Scene:
         parts = carried if which == 0 else np.cross(state.position, carried)
         return float(np.linalg.norm(momenta(model, state)[which]) / np.abs(parts).sum())
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         tension = 0.3 * np.random.default_rng(1).random(model.n_muscle)
         times = np.linspace(0.005, 0.02, 4)
         return Reading(1e3 * times, sample(engine, times, share, tension), np.zeros(len(times)), scale=1.0)

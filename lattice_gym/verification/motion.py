@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
+from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import Clamp, Joint, RodModel
 from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.state import RodState
@@ -44,7 +44,7 @@ def axial_vibration(n_elem: int) -> Scene:
         projected: FloatArray = modes @ (model.node_mass * (state.position[:, 2] - rest.position[:, 2]))
         return projected
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         signals = sample(engine, engine.dt * np.arange(1, int(4.2 / exact[0] / engine.dt) + 1), projections).T
         measured = np.array([_frequency(signal, engine.dt) for signal in signals])
         return Reading(AXIAL_MODES, measured / exact, np.ones(len(exact)))
@@ -77,7 +77,7 @@ def drag_only(n_elem: int) -> Scene:
     velocity, omega = np.zeros_like(rest.velocity), np.zeros_like(rest.omega)
     velocity[:, 2], omega[:, 2] = 1e-9, 1e-3
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times = np.linspace(0.2, 3.0, 15)
         measured = sample(engine, times, lambda s: np.concatenate([s.velocity[:, 2] / 1e-9, s.omega[:, 2] / 1e-3]))
         decay = np.concatenate([rod.damping / rod.mass, rod.rotational_damping / (2.0 * rod.inertia)])
@@ -108,7 +108,7 @@ def ringing_free_bar(n_elem: int, angle: float) -> Scene:
         stored = rod.stretch_stiffness * rod.rest_length * (dilatation - 1.0 - np.log(dilatation))
         return float(0.5 * (rod.mass * state.velocity[:, 2] ** 2).sum() + stored.sum())
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         start, n_sample = total(engine.state), round(0.5 * ENERGY_TIME / angle)
         times = np.arange(1, n_sample + 1, dtype=np.float64) * 2.0 * engine.dt
         return Reading(times, sample(engine, times, total) / start - 1.0, np.zeros(len(times)), scale=1.0)
@@ -167,7 +167,7 @@ def free_precession(n_elem: int) -> Scene:
     def spin_and_axes(state: RodState) -> FloatArray:
         return np.concatenate([state.omega[:, 0] / across, state.omega[:, 1] / across, axes(state)])
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times, kept = np.linspace(turn / n_sample, turn, n_sample), np.tile(axes(engine.state), (n_sample, 1))
         angle = np.repeat(spin * times[:, None], n_elem, axis=1)
         exact = np.concatenate([np.cos(angle), np.sin(angle), kept], axis=1)
@@ -204,7 +204,7 @@ def soft_joint(n_elem: int) -> Scene:
         first, second = (state.position[model.nodes(k), 0] @ rod.mass / rod.mass.sum() for k, rod in enumerate(rods))
         return float(second - first)
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         return Reading(times, 1e3 * sample(engine, times, gap), np.cos(2.0 * np.pi * times / period))
 
     dt = times[0] / int(np.ceil(times[0] / (STABLE_SHARE * stable_dt(model))))

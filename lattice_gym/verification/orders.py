@@ -21,8 +21,8 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import Clamp, PointTorque, RodModel
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.stable_step import stable_dt
@@ -128,7 +128,7 @@ def ringing_bar(rate: float, share: float) -> Scene:
     interval = 3.0 * LENGTH / SPEED / n_sample
     dt = interval / int(np.ceil(interval / (share * stable_dt(model))))
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times = interval * np.arange(1, n_sample + 1)
         measured = sample(engine, times, lambda state: state.position[1:, 2] - rest.position[1:, 2])
         return Reading(times, measured, np.array([expm(time * flow)[:n] @ start for time in times]))
@@ -174,7 +174,7 @@ def _spinning_rod(damped: bool) -> tuple[RodModel, RodState]:
 def _spinning_end(engine: EngineName, splitting: Splitting, damped: bool, steps: int) -> RodState:
     """State after SPINNING_TIME."""
     model, start = _spinning_rod(damped)
-    made = make_engine(engine, model, SPINNING_TIME / steps, splitting)
+    made = simulate(engine, model, SPINNING_TIME / steps, splitting)
     made.restore(start)
     return advance_by(made, SPINNING_TIME)
 
@@ -213,7 +213,7 @@ def _lattice(damped: bool) -> RodModel:
 def _lattice_end(engine: EngineName, splitting: Splitting, damped: bool, steps: int) -> FloatArray:
     """Node positions after LATTICE_TIME under LATTICE_TENSION in every muscle [m]."""
     model = _lattice(damped)
-    made = make_engine(engine, model, LATTICE_TIME / steps, splitting)
+    made = simulate(engine, model, LATTICE_TIME / steps, splitting)
     return advance_by(made, LATTICE_TIME, np.full(model.n_muscle, LATTICE_TENSION)).position
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lattice_gym.engines.base import Engine
+from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import Clamp, PointForce, PointTorque, RodModel
 from lattice_gym.physics.rod import SHEAR_CORRECTION, Rod, rotation_between, straight_frames
 from lattice_gym.physics.stable_step import stable_dt
@@ -32,7 +32,7 @@ def axial_stretch(n_elem: int) -> Scene:
     )
     rest = model.rest_state()
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         z = rest.position[:, 2] + 0.5 * LENGTH
         moved = advance_by(engine, 60.0 / slowest).position[:, 2] - rest.position[:, 2]
         return Reading(z, moved, z * force / (E * AREA - force))
@@ -63,7 +63,7 @@ def timoshenko_cantilever(n_elem: int) -> Scene:
         forces=tuple(PointForce(0, node, (force, 0.0, 0.0)) for node in (0, 2 * n_elem)),
     )
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         deflection = advance_by(engine, 30.0 / slowest).position[:, 0]
         place = np.linspace(-LENGTH, LENGTH, 2 * n_elem + 1)
         s = np.abs(place)
@@ -81,7 +81,7 @@ def _turned_by_couples(n_elem: int, axis: int, stiffness: float, slowest: float,
     torques = (PointTorque(0, 0, start), PointTorque(0, n_elem - 1, end))
     model = RodModel(rods=(bar(n_elem, rate=SETTLING * slowest),), torques=torques)
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         directors = advance_by(engine, settling_time).directors
         turned = rotation_between(np.broadcast_to(directors[0], directors.shape), directors)
         exact = np.zeros((n_elem, 3))
@@ -190,7 +190,7 @@ def helical_spring(n_elem: int) -> Scene:
         torques=(PointTorque(0, n_elem - 1, (float(couple[0]), float(couple[1]), float(couple[2]))),),
     )
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         state = advance_by(engine, 28.0 / slowest)
         turned = directors[-1].T @ rotation_between(directors[-1:], state.directors[-1:])[0]
         moved = 0.5 * (state.position[-2:] - position[-2:]).sum(axis=0)

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 
 from lattice_gym.benchmarks.divergence.judge import OK, REFINEMENT, RIGHT, WRONG, Run
 from lattice_gym.benchmarks.figures import GREY, dress, new_figure, save
-from lattice_gym.engines.base import STEP_TOLERANCE
+from lattice_gym.engines.step_doubling import STEP_TOLERANCE
 from lattice_gym.physics.energy import ENERGY_TOLERANCE
 
 COLOUR = {

@@ -28,8 +28,8 @@ import numpy as np
 
 from lattice_gym.benchmarks.divergence.runs import N_CONTROL, Plan, plan
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine, Health, Status, joint_reach
-from lattice_gym.engines.registry import make_engine
+from lattice_gym.engines.health import Health, Status, joint_gap_limits
+from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.measures import dilatation, muscle_strain
 from lattice_gym.physics.rod import MAX_DILATATION, MIN_DILATATION
@@ -79,7 +79,7 @@ class Run:
     """Largest distance from the run at half the step that the step check saw [longest side]."""
 
 
-def _advance_reference(reference: Engine, ramp: FloatArray, n_substeps: int) -> Health:
+def _advance_reference(reference: Simulation, ramp: FloatArray, n_substeps: int) -> Health:
     """Advance by a control step. The energy check, which is judged here, is ignored: only its ledger is read."""
     health = reference.advance(ramp, n_substeps)
     return Health() if health.status in PROVISIONAL else health
@@ -114,7 +114,7 @@ def find_truth(plan: Plan, refinement: int = REFINEMENT) -> Truth:
     """Take a reference as far as it neither fails nor forks; a fork is under way one control step before it shows."""
     model, height, n_substeps = plan.model, plan.design.height, refinement * plan.n_substeps
     dt, splitting = plan.dt / refinement, plan.splitting
-    reference, other = (make_engine("fused", model, dt, splitting, energy_check=True) for _ in range(2))
+    reference, other = (simulate("fused", model, dt, splitting, energy_check=True) for _ in range(2))
     noise = 1.0 + FORK_TENSION * np.random.default_rng((plan.seed, 2)).uniform(-1.0, 1.0, model.n_muscle)
     positions, residual = list[FloatArray](), 0.0
     for ramp in plan.ramps:
@@ -130,7 +130,7 @@ def find_truth(plan: Plan, refinement: int = REFINEMENT) -> Truth:
     return Truth(positions, False, OK, residual)
 
 
-def _spurious_share(engine: Engine) -> float:
+def _spurious_share(engine: Simulation) -> float:
     """Spurious energy over the energy at stake, in the last control step."""
     ledger = engine.ledger
     return 0.0 if ledger is None else max(0.0, -ledger.residual) / ledger.scale if ledger.scale > 0.0 else 0.0
@@ -142,7 +142,7 @@ def compare(seed: int) -> Run:
     design, model, n_substeps, ramps = planned.design, planned.model, planned.n_substeps, planned.ramps
     truth = find_truth(planned)
     n_known = len(truth.positions)
-    run = make_engine("fused", model, planned.dt, planned.splitting, energy_check=True, step_check=True)
+    run = simulate("fused", model, planned.dt, planned.splitting, energy_check=True, step_check=True)
     health = Health()
     deviation = step_error = residual = 0.0
     collapsed, n_compared = False, 0
@@ -202,5 +202,5 @@ def _near_a_bound(model: RodModel, position: FloatArray) -> bool:
     lengths = np.concatenate([dilatation(model, position), 1.0 + muscle_strain(model, position)])
     stretched = lengths.min() < NEAR * MIN_DILATATION or lengths.max() > MAX_DILATATION / NEAR
     a, b = model.tie_nodes(model.joints)
-    gaps = np.linalg.norm(position[b] - position[a], axis=1) / joint_reach(model)
+    gaps = np.linalg.norm(position[b] - position[a], axis=1) / joint_gap_limits(model)
     return bool(stretched or gaps.max() > 1.0 / NEAR)

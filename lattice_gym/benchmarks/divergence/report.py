@@ -24,7 +24,8 @@ from lattice_gym.benchmarks.divergence.judge import (
 )
 from lattice_gym.benchmarks.divergence.runs import FIRST_SEED, N_CONTROL, plan
 from lattice_gym.benchmarks.results_files import table, write
-from lattice_gym.engines.base import STEP_TOLERANCE, Status
+from lattice_gym.engines.health import Status
+from lattice_gym.engines.step_doubling import STEP_TOLERANCE
 from lattice_gym.physics.energy import ENERGY_TOLERANCE
 from lattice_gym.physics.laws.damping import Splitting
 

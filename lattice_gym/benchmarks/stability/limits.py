@@ -37,7 +37,7 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.registry import make_engine
+from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.activation import advance_activation
 from lattice_gym.physics.laws.damping import Splitting
@@ -144,7 +144,7 @@ class Trial:
 
     def _run(self, dt: float, n_steps: int, refinement: int, noise: float = 0.0) -> tuple[str, list[FloatArray], float]:
         """Run n_steps * dt: engine's status ("" if well), positions at some times, largest kinetic energy [J]."""
-        engine = make_engine("fused", self.model, dt / refinement, SPLITTING)
+        engine = simulate("fused", self.model, dt / refinement, SPLITTING)
         rng = np.random.default_rng(1)
         strength = self.design.max_tension * (
             1.0 + noise * np.random.default_rng(2).uniform(-1.0, 1.0, self.model.n_muscle)

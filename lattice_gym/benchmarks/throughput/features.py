@@ -13,7 +13,7 @@ from lattice_gym.benchmarks.timing import interleaved, seconds
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.engines.registry import make_engine
+from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.laws.adaptation import Adaptation
 from lattice_gym.physics.laws.hill import Hill
 from lattice_gym.physics.measures import muscle_strain
@@ -42,7 +42,7 @@ class Feature:
     hill: Hill | None = None
     adaptation: Adaptation | None = None
     checks: Mapping[str, Any] = field(default_factory=dict)
-    """Those of `make_engine` that are on."""
+    """Those of `simulate` that are on."""
 
 
 CRAWL = replace(BARE, base="free")
@@ -102,7 +102,7 @@ def _timer(feature: Feature, n_control: int) -> Callable[[], float]:
     """Find the seconds per step over so many control steps from rest."""
     lattice = build_lattice(feature.design)
     model = build_model(lattice, named_layout("extension", lattice), feature.world, hill=feature.hill)
-    engine = make_engine("fused", model, BENCHMARK_DT, **feature.checks)
+    engine = simulate("fused", model, BENCHMARK_DT, **feature.checks)
     active, n_substeps, adaptation = np.ones(model.n_muscle), round(CONTROL_DT / BENCHMARK_DT), feature.adaptation
 
     def control() -> None:

@@ -18,7 +18,7 @@ from lattice_gym.body.muscles import MuscleLayout, named_layout
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.fused import kernels
 from lattice_gym.engines.fused.pack import n_record
-from lattice_gym.engines.registry import make_engine
+from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.worm import build_model
 
@@ -127,7 +127,7 @@ def _timer(model: RodModel) -> Callable[[], float]:
     pull = np.full(model.n_muscle, TENSION)
 
     def timed() -> float:
-        engine = make_engine("fused", model, SCALING_DT)
+        engine = simulate("fused", model, SCALING_DT)
         engine.advance(pull, N_STEPS // 10)
         return seconds(lambda: engine.advance(pull, N_STEPS)) / N_STEPS
 

@@ -1,6 +1,6 @@
 """A worm in PyElastica as its user would write it: its rods, joints, constraints, damper and stepper, and one force.
 
-What the throughput report measures against. The reference engine behind `make_engine` does the same and more.
+What the throughput report measures against. The reference engine behind `simulate` does the same and more.
 """
 
 from __future__ import annotations

@@ -167,7 +167,7 @@ def report(folder: Path, *, command: str, quick: bool) -> bool:
         "Few worms on several threads cost more each: what a thread has of them leaves lanes spare (4 worms of 12 rods "
         "fill all lanes, 2 do not), and it waits for the others, or to be woken, for more of a short call. "
         f"A further worm in a batch takes {worms.bytes_per_worm / 1024:.0f} KiB. Of the {EPISODE_STEPS} control steps "
-        f"of an episode of {ENV_WORMS} environments, all but `BatchEngine.advance` takes "
+        f"of an episode of {ENV_WORMS} environments, all but `Engine.advance` takes "
         + ", ".join(
             f"{spread(share, 100.0)} % on {threads} thread{'s' if threads > 1 else ''}"
             for threads, share in worms.overhead.items()

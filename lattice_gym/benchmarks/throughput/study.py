@@ -21,9 +21,10 @@ from lattice_gym.benchmarks.benchmark_scene import BENCHMARK_DT, ENGINES, TENSIO
 from lattice_gym.benchmarks.throughput.plain_pyelastica import PlainPyElastica
 from lattice_gym.benchmarks.timing import allocated, interleaved, seconds, seconds_per_step
 from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.engines.arguments import available_cores
 from lattice_gym.engines.base import Engine
-from lattice_gym.engines.batch import BatchEngine, available_cores
 from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.simulation import Simulation, simulate
 
 ENV_ID = "LatticeWormExtension-v0"
 """Environment with the muscles of the benchmark scene."""
@@ -129,7 +130,7 @@ def time_plain(n_steps: int, clock: Callable[[], float] = time.thread_time) -> f
 def single(plan: Plan) -> Single:
     """Compare and time one worm on all three."""
     model = benchmark_model()
-    engines: dict[EngineName, Engine] = {name: make_engine(name, model, BENCHMARK_DT) for name in ENGINES}
+    engines: dict[EngineName, Simulation] = {name: simulate(name, model, BENCHMARK_DT) for name in ENGINES}
     plain, pull = PlainPyElastica(model, TENSION, BENCHMARK_DT), np.full(model.n_muscle, TENSION)
     plain.advance(1)
     for engine in engines.values():
@@ -146,8 +147,8 @@ def single(plan: Plan) -> Single:
     return Single(interleaved(tasks, plan.repeats, "one worm"), step, course)
 
 
-def _make_batch(n_worm: int, num_threads: int) -> BatchEngine:
-    return BatchEngine([benchmark_model()] * n_worm, BENCHMARK_DT, num_threads=num_threads)
+def _make_batch(n_worm: int, num_threads: int) -> Engine:
+    return make_engine("fused", [benchmark_model()] * n_worm, BENCHMARK_DT, num_threads=num_threads)
 
 
 def _make_env(n_worm: int, num_threads: int) -> VectorEnv:
@@ -163,7 +164,7 @@ def _calls(n_worm: int) -> int:
     return max(1, min(EPISODE_STEPS - 1, 256 // n_worm))
 
 
-def _time_batch(engine: BatchEngine, n_worm: int, n_muscle: int) -> float:
+def _time_batch(engine: Engine, n_worm: int, n_muscle: int) -> float:
     """Seconds per step of one worm."""
     pull, calls = np.full((n_worm, n_muscle), TENSION), _calls(n_worm)
 
@@ -191,11 +192,11 @@ def _time_env(env: VectorEnv, n_worm: int) -> float:
 
 
 def _time_overhead(env: VectorEnv) -> float:
-    """Share of the steps of an episode that is not spent within `BatchEngine.advance`."""
-    advance, physics = BatchEngine.advance, 0.0
+    """Share of the steps of an episode that is not spent within `Engine.advance`."""
+    advance, physics = Engine.advance, 0.0
     action = env.action_space.sample()
 
-    def timed(engine: BatchEngine, tension: npt.ArrayLike, n_substeps: int) -> IntArray:
+    def timed(engine: Engine, tension: npt.ArrayLike, n_substeps: int) -> IntArray:
         nonlocal physics
         start = time.perf_counter()
         status = advance(engine, tension, n_substeps)
@@ -207,10 +208,10 @@ def _time_overhead(env: VectorEnv) -> float:
             env.step(action)
 
     env.reset(seed=0)
-    with patch.object(BatchEngine, "advance", timed):
+    with patch.object(Engine, "advance", timed):
         total = seconds(episode, time.perf_counter)
     if physics == 0.0:
-        raise RuntimeError("the environment does not step by BatchEngine.advance")
+        raise RuntimeError("the environment does not step by Engine.advance")
     return 1.0 - physics / total
 
 

@@ -15,7 +15,8 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.activation import advance_activation
 from lattice_gym.physics.laws.damping import Splitting
@@ -135,7 +136,7 @@ def worm(scene: Scene, elements_per_segment: int, muscle_model: str) -> tuple[La
 def run(scene: Scene, setting: Setting, engine_name: EngineName = "fused") -> Course:
     """Compute a scene."""
     lattice, layout, model = worm(scene, *setting.mesh)
-    engine = make_engine(engine_name, model, setting.dt, setting.splitting)
+    engine = simulate(engine_name, model, setting.dt, setting.splitting)
     positions, status = [engine.state.position], "ok"
     for tension in scene.tensions(lattice, layout):
         health = engine.advance(tension, setting.n_substeps)
@@ -180,7 +181,7 @@ def step_costs(
     tasks: dict[int, Callable[[], float]] = {}
     for k, (name, setting) in enumerate(settings):
         lattice, layout, model = worm(scene, *setting.mesh)
-        engine = make_engine(name, model, setting.dt, setting.splitting)
+        engine = simulate(name, model, setting.dt, setting.splitting)
         tension = scene.tensions(lattice, layout)[0]
         tasks[k] = partial(seconds_per_step, engine, tension, n_steps[name], time.process_time)
     return list(interleaved(tasks, repeats, f"{scene.name}, cost of a step").values())

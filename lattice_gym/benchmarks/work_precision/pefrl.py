@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from elastica.timestepper.symplectic_steppers import PEFRL
 
-from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Health
-from lattice_gym.engines.pyelastica.engine import PyElasticaEngine
+from lattice_gym.engines.pyelastica.engine import Assembly
 from lattice_gym.physics.assembly import PointForce, RodModel
 from lattice_gym.physics.rod import straight_rod
 
@@ -16,15 +14,11 @@ _PUSH = 1e-3
 """Acceleration of every node [m/s^2] or its velocity at the start [m/s]: so small that the rod stays as it is."""
 
 
-class _Pefrl(PyElasticaEngine):
-    """The PyElastica engine with the other stepper."""
-
-    def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:
-        stepper = PEFRL()
-        for _ in range(n_substeps):
-            stepper.step(self._simulator, self._time, self.dt)
-            self._time += self.dt
-        return Health()
+def _with_pefrl(model: RodModel) -> Assembly:
+    """Assembly that the other stepper advances."""
+    assembly = Assembly(model, _DT)
+    vars(assembly)["_stepper"] = PEFRL()
+    return assembly
 
 
 def pefrl_faults() -> tuple[float, float]:
@@ -33,17 +27,17 @@ def pefrl_faults() -> tuple[float, float]:
         (0, 0, 0), (0, 0, 1), 4, radius=0.05, density=1e3, youngs_modulus=1e4, shear_modulus=4e3, damping=0.0
     )
     forces = tuple(PointForce(0, node, (0.0, 0.0, _PUSH * float(mass))) for node, mass in enumerate(rod.mass))
-    pushed = _Pefrl(RodModel(rods=(rod,), forces=forces), _DT)
-    pushed.advance(np.empty(0), _N_STEP)
+    pushed = _with_pefrl(RodModel(rods=(rod,), forces=forces))
+    pushed.advance(np.empty(0), np.empty(0), _N_STEP)
     gained = pushed.state.velocity[:, 2].mean() / (_PUSH * _N_STEP * _DT)
 
     damped_rod = straight_rod(
         (0, 0, 0), (0, 0, 1), 4, radius=0.05, density=1e3, youngs_modulus=1e4, shear_modulus=4e3, damping=_DAMPING
     )
     model = RodModel(rods=(damped_rod,))
-    damped, rest = _Pefrl(model, _DT), model.rest_state()
+    damped, rest = _with_pefrl(model), model.rest_state()
     rest.velocity[:, 2] = _PUSH
     damped.restore(rest)
-    damped.advance(np.empty(0), 1)
+    damped.advance(np.empty(0), np.empty(0), 1)
     decay = -np.log(damped.state.velocity[2, 2] / _PUSH) / (_DAMPING * _DT / damped_rod.mass[2])
     return float(gained), float(decay)
