@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ import pytest
 
 from lattice_gym.benchmarks.__main__ import main
 from lattice_gym.benchmarks.benchmark_scene import BENCHMARK_DT, benchmark_model
-from lattice_gym.benchmarks.throughput import cold_start, study
+from lattice_gym.benchmarks.throughput import cold_start, report, study
 from lattice_gym.benchmarks.throughput.features import FEATURES
 from lattice_gym.benchmarks.throughput.growth import LEVELS_PER_PAIR, Growth, fit, record_bytes, second_level_cache
 from lattice_gym.benchmarks.throughput.plain_pyelastica import PlainPyElastica
@@ -22,16 +23,31 @@ from lattice_gym.benchmarks.timing import allocated, digits, interleaved, second
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.engines.fused.engine import FusedEngine
+from lattice_gym.engines.fused.pack import Pack
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.worm import build_model
+
+BRIEF = replace(
+    study.QUICK,
+    repeats=1,
+    steps={"fused": 200, "pyelastica": 10, "plain": 10},
+    meshes=(5, 10, 15),
+    muscles=(0, 32),
+    pairs=(4, 8),
+    features=tuple(feature for feature in FEATURES if feature.name in ("bare", "ground", "adaptation", "step check")),
+)
+"""The quick form with less of each kind; these features need no more than a kernel or two to be compiled."""
 
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, Any]]:
-    """Text and figures of the quick report; speed is for the report to judge, the exit status is its verdict."""
+    """Text and figures of a brief report; speed is for the report to judge, the exit status is its verdict."""
     folder = tmp_path_factory.mktemp("reports")
-    status = main(["--out", str(folder), "throughput", "--quick"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "QUICK", BRIEF)
+        starts = {"from nothing": [9.0], "cached": [1.0]}
+        patch.setattr(report, "cold_starts", lambda repeats: starts)
+        status = main(["--out", str(folder), "throughput", "--quick"])
     text = (folder / "throughput.md").read_text()
     result = json.loads((folder / "throughput.json").read_text(), parse_constant=pytest.fail)
     assert status == (0 if all(target["reached"] for target in result["targets"]) else 1)
@@ -74,21 +90,30 @@ def test_physics_agrees(quick: tuple[str, dict[str, Any]]) -> None:
 def test_everything_is_timed(quick: tuple[str, dict[str, Any]]) -> None:
     """All sizes on all threads, every feature, every count; times are positive and as many as rounds."""
     text, result = quick
-    plan = study.QUICK
     threads = study.thread_counts()
     assert [(row["worms"], row["threads"]) for row in result["batches"]] == [
-        (n_worm, own) for n_worm in plan.sizes for own in threads
+        (n_worm, own) for n_worm in BRIEF.sizes for own in threads
     ]
     times = [row[key] for row in result["batches"] for key in ("seconds_per_worm_step", "seconds_per_control_step")]
-    assert list(result["features"]) == [feature.name for feature in FEATURES]
+    assert list(result["features"]) == [feature.name for feature in BRIEF.features]
     times += result["features"].values()
     times += [own for growth in result["growth"].values() for own in growth["times"]]
-    assert {len(own) for own in times} == {plan.repeats}
+    assert {len(own) for own in times} == {BRIEF.repeats}
     assert min(min(own) for own in times) > 0.0
-    assert result["growth"]["muscles"]["count"] == list(plan.muscles)
-    assert all(f"| {feature.name} " in text for feature in FEATURES)
+    assert result["growth"]["muscles"]["count"] == list(BRIEF.muscles)
+    assert all(f"| {feature.name} " in text for feature in BRIEF.features)
     assert result["bytes_per_worm"] > record_bytes(benchmark_model()) / 2
     assert "`python -m lattice_gym.benchmarks throughput --quick`" in text
+
+
+def test_every_feature_changes_the_worm() -> None:
+    """Its model differs from the bare one, or what goes along with it does; the names are its own."""
+    bare = FEATURES[0].build()
+    assert len({feature.name for feature in FEATURES}) == len(FEATURES)
+    for feature in FEATURES[1:]:
+        model = feature.build()
+        changed = [name for name, value in vars(model).items() if repr(value) != repr(getattr(bare, name))]
+        assert changed or feature.adaptation or feature.checks, feature.name
 
 
 def test_a_missed_target_shows() -> None:
@@ -147,9 +172,7 @@ def test_record_bytes_are_those_of_the_engine(pairs: int) -> None:
     """With one block of rods and with two, and muscles beside them."""
     lattice = build_lattice(LatticeDesign(n_pairs=pairs, period_ratio=pairs / LEVELS_PER_PAIR))
     model = build_model(lattice, named_layout("all", lattice))
-    engine = simulate("fused", model, 1e-5)
-    assert isinstance(engine, FusedEngine)
-    assert record_bytes(model) == engine._cells.nbytes
+    assert record_bytes(model) == Pack([model], 1e-5, "symmetric").cells.nbytes
 
 
 # PyElastica
@@ -233,6 +256,19 @@ def test_an_environment_that_hides_its_physics_is_refused() -> None:
     )
     with pytest.raises(RuntimeError, match="advance"):
         study._time_overhead(silent)
+
+
+def test_starts_are_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both in turn, from a folder that is empty at first."""
+    monkeypatch.setattr(cold_start, "_FIRST_STEP", "print('stepped', flush=True)")
+    times = cold_start.cold_starts(2)
+    assert {kind: len(taken) for kind, taken in times.items()} == {"from nothing": 2, "cached": 2}
+    assert min(map(min, times.values())) > 0.0
+
+
+def test_the_first_step_is_one() -> None:
+    """What is timed runs, here with what was compiled before."""
+    assert cold_start.first_step(os.environ.get("NUMBA_CACHE_DIR", "")) > 0.0
 
 
 def test_a_failed_start_says_why(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

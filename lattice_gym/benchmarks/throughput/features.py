@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,6 +14,7 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.engines.simulation import simulate
+from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.adaptation import Adaptation
 from lattice_gym.physics.laws.hill import Hill
 from lattice_gym.physics.measures import muscle_strain
@@ -43,6 +44,11 @@ class Feature:
     adaptation: Adaptation | None = None
     checks: Mapping[str, Any] = field(default_factory=dict)
     """Those of `simulate` that are on."""
+
+    def build(self) -> RodModel:
+        """Model of the worm."""
+        lattice = build_lattice(self.design)
+        return build_model(lattice, named_layout("extension", lattice), self.world, hill=self.hill)
 
 
 CRAWL = replace(BARE, base="free")
@@ -100,8 +106,7 @@ FEATURES = (
 
 def _timer(feature: Feature, n_control: int) -> Callable[[], float]:
     """Find the seconds per step over so many control steps from rest."""
-    lattice = build_lattice(feature.design)
-    model = build_model(lattice, named_layout("extension", lattice), feature.world, hill=feature.hill)
+    model = feature.build()
     engine = simulate("fused", model, BENCHMARK_DT, **feature.checks)
     active, n_substeps, adaptation = np.ones(model.n_muscle), round(CONTROL_DT / BENCHMARK_DT), feature.adaptation
 
@@ -123,6 +128,6 @@ def _timer(feature: Feature, n_control: int) -> Callable[[], float]:
     return timed
 
 
-def feature_costs(repeats: int, n_control: int) -> dict[str, list[float]]:
-    """Seconds per step with every feature, by name; control steps are those of the environment."""
-    return interleaved({feature.name: _timer(feature, n_control) for feature in FEATURES}, repeats, "features")
+def feature_costs(features: Iterable[Feature], repeats: int, n_control: int) -> dict[str, list[float]]:
+    """Seconds per step with each feature, by name; control steps are those of the environment."""
+    return interleaved({feature.name: _timer(feature, n_control) for feature in features}, repeats, "features")

@@ -145,7 +145,7 @@ def report(folder: Path, *, command: str, quick: bool) -> bool:
     """Write throughput.md, .json and .png; returns whether every target is reached."""
     plan = QUICK if quick else FULL
     alone = single(plan)
-    costs = feature_costs(plan.repeats, 1 if quick else 4)
+    costs = feature_costs(plan.features, plan.repeats, plan.n_control)
     grown = measure_growth(plan)
     worms = batches(plan)
     starts = cold_starts(plan.starts)

@@ -18,6 +18,7 @@ from gymnasium.vector import VectorEnv
 from tqdm import tqdm
 
 from lattice_gym.benchmarks.benchmark_scene import BENCHMARK_DT, ENGINES, TENSION, benchmark_model
+from lattice_gym.benchmarks.throughput.features import FEATURES, Feature
 from lattice_gym.benchmarks.throughput.plain_pyelastica import PlainPyElastica
 from lattice_gym.benchmarks.timing import allocated, interleaved, seconds, seconds_per_step
 from lattice_gym.checks import FloatArray, IntArray
@@ -54,6 +55,9 @@ class Plan:
     """Pairs of rods."""
     starts: int
     """Cold starts of either kind."""
+    n_control: int
+    """Control steps that are timed in a repeat, of each feature."""
+    features: tuple[Feature, ...] = FEATURES
 
 
 FULL = Plan(
@@ -64,6 +68,7 @@ FULL = Plan(
     muscles=(0, 8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 90),
     pairs=(4, 6, 8, 10, 12, 14, 16, 18, 20),
     starts=7,
+    n_control=4,
 )
 QUICK = Plan(
     repeats=3,
@@ -73,6 +78,7 @@ QUICK = Plan(
     muscles=(0, 32, 90),
     pairs=(4, 8, 12),
     starts=1,
+    n_control=1,
 )
 
 
