@@ -32,7 +32,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as seeded
 from hypothesis import strategies as st
 
-from lattice_gym.benchmarks.__main__ import parser as reports_parser
+from lattice_gym.benchmarks.__main__ import parse as parse_report
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import (
@@ -691,7 +691,7 @@ def make_options(words: list[str]) -> None:
     said = io.StringIO()
     try:
         with redirect_stderr(said), redirect_stdout(io.StringIO()):
-            options = reports_parser().parse_args(words)
+            options = parse_report(words).report
     except SystemExit as leaving:
         if leaving.code == 2:
             raise ValueError(said.getvalue()) from None
@@ -737,7 +737,7 @@ TARGETS = [
     ),
     Target("Trajectory and Recorder", _TRAJECTORIES, make_trajectory, lambda call: (*call[1],)),
     Target("Trajectory.load", _FILES, make_trajectory_file, _fixed("damaged.npz")),
-    Target("options of the reports", _WORDS, make_options, _fixed("error:")),
+    Target("options of the reports", _WORDS, make_options, _fixed("--help")),
 ]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast, get_args
 
@@ -24,9 +23,9 @@ from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import Ground, Medium, World
 from lattice_gym.physics.worm import build_model
+from lattice_gym.verification.case import Case
 from lattice_gym.verification.ground import incline, rest_penetration, sliding_block_by_direction
-from lattice_gym.verification.scene import Scene
-from lattice_gym.verification.steps import slope
+from lattice_gym.verification.orders import slope
 
 ROD = {"radius": 0.05, "density": 1e3, "youngs_modulus": 1e5, "shear_modulus": 3e4}
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
@@ -85,10 +84,10 @@ def test_weight_and_ground_have_their_formulas() -> None:
     assert air.weight.size == air.ground.size == 0
 
 
-@pytest.mark.parametrize("build", [sliding_block_by_direction, incline, rest_penetration])
-def test_the_ground_takes_what_motion_loses(build: Callable[[int], Scene], engine_name: EngineName) -> None:
+@pytest.mark.parametrize("case", [sliding_block_by_direction, incline, rest_penetration], ids=lambda case: case.name)
+def test_the_ground_takes_what_motion_loses(case: Case, engine_name: EngineName) -> None:
     """Friction and dashpots of the ground are counted to rounding: blocks that slip, stop, and sink in."""
-    scene = build(2)
+    scene = case.build(2)
     engine = simulate(engine_name, scene.model, scene.dt, energy_check=True)
     engine.restore(scene.start)
     assert engine.advance([], 1000).ok

@@ -16,7 +16,7 @@ from elastica.rod.cosserat_rod import CosseratRod
 from elastica.surface.plane import Plane
 from elastica.timestepper.symplectic_steppers import PositionVerlet
 
-from lattice_gym.benchmarks.divergence import Plan, plan
+from lattice_gym.benchmarks.divergence.runs import Plan, plan
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import named_layout

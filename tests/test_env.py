@@ -26,7 +26,7 @@ from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 import lattice_gym
-from lattice_gym.benchmarks.divergence import plan
+from lattice_gym.benchmarks.divergence.runs import plan
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout

@@ -13,10 +13,12 @@ from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.rod import rotation_between
 from lattice_gym.physics.stable_step import stable_dt
-from lattice_gym.verification.cases import CASES, PRECESSION_STEPS, bar
+from lattice_gym.verification.bar import bar
+from lattice_gym.verification.case import Case, Outcome, Reading, advance_by, difference, run
+from lattice_gym.verification.cases import CASES
 from lattice_gym.verification.ground import GROUND_CASES
-from lattice_gym.verification.scene import Case, Outcome, Reading, difference, pass_time, run
-from lattice_gym.verification.steps import STEP_SCENES, StepScene, slope, step_orders, step_trials
+from lattice_gym.verification.motion import PRECESSION_STEPS
+from lattice_gym.verification.orders import STEP_SCENES, StepScene, slope, step_orders, step_trials
 
 QUICK = [case for case in CASES if case.name not in ("michell_ring", "localised_buckle")]
 HELD = [case for case in CASES if case not in QUICK]
@@ -115,7 +117,7 @@ def test_a_straight_rod_takes_its_natural_curvature(engine_name: EngineName) -> 
     natural = np.tile((0.5, -0.3, 0.4), (11, 1))
     model = RodModel(rods=(replace(rod, natural_curvature=natural),))
     engine = simulate(engine_name, model, 0.5 * stable_dt(model))
-    pass_time(engine, 4.0)
+    advance_by(engine, 4.0)
     directors = engine.state.directors
     assert np.abs(rotation_between(directors[:-1], directors[1:]) / rod.rest_voronoi[:, None] - natural).max() < 1e-7
     assert np.abs(directors[0] - directors[-1]).max() > 0.1

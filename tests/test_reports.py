@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from inspect import signature
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 
-from lattice_gym.benchmarks import engines, paper
-from lattice_gym.benchmarks.__main__ import main
+from lattice_gym.benchmarks import engine_comparison, paper
+from lattice_gym.benchmarks.__main__ import MODULES, Options, main, parse
+from lattice_gym.benchmarks.benchmark_scene import ENGINES
 from lattice_gym.benchmarks.results_files import table
 from lattice_gym.engines.fused.engine import FusedEngine
 
@@ -32,7 +35,7 @@ def test_the_papers_motions_at_one_newton(tmp_path: Path, capsys: pytest.Capture
 def test_both_engines_reach_the_same_bend() -> None:
     """The report's value does not depend on the engine."""
     bending = paper.TABLE_2[2]
-    values = [paper.run_motion(bending, 1.0, name)[0].value for name in engines.ENGINES]
+    values = [paper.run_motion(bending, 1.0, name)[0].value for name in ENGINES]
     assert values[0] == pytest.approx(values[1], abs=1e-6)
 
 
@@ -47,13 +50,13 @@ def test_a_lattice_that_fails_is_reported(tmp_path: Path) -> None:
 
 def test_a_strip_of_final_shapes(tmp_path: Path) -> None:
     """One PNG holds the pictures."""
-    assert paper.report("fused", [0.5], tmp_path, pictures=True, command="test")
+    assert paper.report(tmp_path, command="test", engine="fused", tension=[0.5], pictures=True)
     assert (tmp_path / "paper.png").read_bytes()[1:4] == b"PNG"
 
 
 def test_engines_report(tmp_path: Path) -> None:
     """It finds the engines in agreement and writes both medians."""
-    engines.report(tmp_path, command="test", repeats=1, n_control=1)
+    engine_comparison.report(tmp_path, command="test", repeats=1, n_control=1)
     result = json.loads((tmp_path / "engines.json").read_text())
     assert result["agree"]
     assert min(result["median_seconds_per_step"].values()) > 0.0
@@ -63,33 +66,48 @@ def test_engines_report_finds_disagreement(tmp_path: Path, monkeypatch: pytest.M
     """A fused engine that pulls too hard by a billionth is found out."""
     advance = FusedEngine._advance
     monkeypatch.setattr(FusedEngine, "_advance", lambda engine, a, b, n: advance(engine, a * (1.0 + 1e-9), b, n))
-    assert not engines.report(tmp_path, command="test", repeats=1, n_control=1)
+    assert not engine_comparison.report(tmp_path, command="test", repeats=1, n_control=1)
     assert "DO NOT AGREE" in (tmp_path / "engines.md").read_text()
 
 
 @pytest.mark.parametrize(
     "words",
-    [["nothing"], ["paper", "--engine", "warp"], ["paper", "--tension", "-1"], ["paper", "--tension", "nan"], []],
+    [
+        ["nothing"],
+        ["paper", "--engine", "warp"],
+        ["paper", "--tension", "-1"],
+        ["paper", "--tension", "nan"],
+        [],
+        ["stability", "--jobs", "0"],
+        ["stability", "--seed", "-1"],
+        ["unchanged"],
+    ],
 )
 def test_bad_options(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """One line says what is wrong; nothing runs."""
+    """It is said what is wrong; nothing runs."""
     with pytest.raises(SystemExit) as raised:
         main(words)
     assert raised.value.code == 2
-    assert "error:" in capsys.readouterr().err
+    assert "--help" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("words", "report", "named"),
     [
-        (["stability", "--seed", "7", "--quick", "--jobs", "2"], "stability.report", "stability --quick --seed 7"),
-        (["stability", "--jobs", "3"], "stability.report", "stability --jobs 3"),
-        (["validation", "--no-pictures"], "validation.report", "validation --no-pictures"),
+        (
+            ["stability", "--seed", "7", "--quick", "--jobs", "2"],
+            "stability.report.report",
+            "stability --quick --seed 7",
+        ),
+        (["stability", "--jobs", "3"], "stability.report.report", "stability --jobs 3"),
+        (["validation", "--no-pictures"], "validation.report.report", "validation --no-pictures"),
         (["paper"], "paper.report", "paper"),
         (["paper", "--tension", "0.1", "2"], "paper.report", "paper --tension 0.1 2.0"),
         (["paper", "--engine", "pyelastica"], "paper.report", "paper --engine pyelastica"),
-        (["engines"], "engines.report", "engines"),
-        (["throughput", "--quick"], "throughput.report", "throughput --quick"),
+        (["engines"], "engine_comparison.report", "engines"),
+        (["work-precision", "--quick"], "work_precision.report.report", "work-precision --quick"),
+        (["unchanged", "--old", "there"], "unchanged.report.report", "unchanged"),
+        (["throughput", "--quick"], "throughput.report.report", "throughput --quick"),
     ],
 )
 def test_the_command_makes_the_result_again(
@@ -105,6 +123,18 @@ def test_the_command_makes_the_result_again(
     monkeypatch.setattr(f"lattice_gym.benchmarks.{report}", listen)
     assert main(["--out", "somewhere", *words]) == 0
     assert commands == [f"python -m lattice_gym.benchmarks {named}"]
+
+
+@pytest.mark.parametrize("name", ["paper", "engines", "validation", "work-precision", "stability", "divergence",
+                                  "throughput", "unchanged"])  # fmt: skip
+def test_every_report_takes_its_options(name: str) -> None:
+    """The function behind a name has a parameter for each option; the folder may stand before the name or after it."""
+    old = ["--old", "there"] if name == "unchanged" else []
+    before, after = parse(["--out", "somewhere", name, *old]), parse([name, "--out", "somewhere", *old])
+    assert isinstance(before, Options)
+    assert (before, before.out) == (after, Path("somewhere"))
+    report = resolve_name(f"lattice_gym.benchmarks.{MODULES[type(before.report)]}:report")
+    signature(report).bind(before.out, command="test", **vars(before.report))
 
 
 def test_table_columns_line_up() -> None:

@@ -11,7 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lattice_gym.benchmarks import stability as report
+from lattice_gym.benchmarks.stability import cases
+from lattice_gym.benchmarks.stability.cases import Case, lying, random_cases
+from lattice_gym.benchmarks.stability.limits import Limit, Trial, measure
+from lattice_gym.benchmarks.stability.report import report, summarise
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
@@ -128,7 +131,7 @@ def test_the_ground(splitting: Splitting, stiffness: float, damping: float) -> N
 def test_never_above_the_measured_limit_on_the_ground(stiffness: float, ratio: float) -> None:
     """A worm in water under random bang-bang activation, by factors on the default ground that shorten the step."""
     design = {"n_pairs": 3, "elements_per_segment": 2, "base": "free", "damping": 1e-3}
-    limit = report.measure(report.Case("ground", design, world=report.lying(stiffness, ratio).to_dict()))
+    limit = measure(Case("ground", design, world=lying(stiffness, ratio).to_dict()))
     assert limit.predicted < 0.7 * stable_dt(worm(**design), LatticeDesign().max_tension)
     assert 0.4 <= limit.ratio <= 1.0
 
@@ -312,18 +315,18 @@ def test_largest_eigenvalue() -> None:
     assert _largest_eigenvalue(lambda x: 3.0 * x, 50) == pytest.approx(3.0)
 
 
-def cheap(case: report.Case) -> bool:
+def cheap(case: Case) -> bool:
     """Whether a case takes about a second."""
     return bool(case.design["elements_per_segment"] <= 4 and case.design["n_pairs"] <= 3)
 
 
-CHEAP = [case for case in report.random_cases(30, seed=1) if cheap(case)]
+CHEAP = [case for case in random_cases(30, seed=1) if cheap(case)]
 
 
 @pytest.mark.parametrize("case", CHEAP, ids=lambda case: case.design["base"])
-def test_never_above_the_measured_limit(case: report.Case) -> None:
+def test_never_above_the_measured_limit(case: Case) -> None:
     """Random designs under random bang-bang activation."""
-    limit = report.measure(case)
+    limit = measure(case)
     assert limit.beyond or 0.4 <= limit.ratio <= 1.0
 
 
@@ -347,7 +350,7 @@ def test_forks(
     monkeypatch: pytest.MonkeyPatch, one: tuple[str, list[float]], other: tuple[str, list[float]], forks: bool
 ) -> None:
     """Runs apart by more than 1 %, or of which one fails; with the same failure as far as both go, if at all."""
-    trial = report.Trial(LatticeDesign(n_pairs=3, elements_per_segment=1), World())
+    trial = Trial(LatticeDesign(n_pairs=3, elements_per_segment=1), World())
 
     def run(dt: float, n_steps: int, refinement: int, noise: float = 0.0) -> tuple[str, list[FloatArray], float]:
         status, moved = other if noise else one
@@ -359,18 +362,18 @@ def test_forks(
 
 def test_shared_designs_are_counted_once() -> None:
     """Two grids that meet in a design, and a random one; a collapse counts nowhere."""
-    default = report.Case("stiffness", {"n_pairs": 3, "joint_stiffness": LatticeDesign().joint_stiffness})
-    cases = [default, replace(default, group="damping", design={"n_pairs": 3}), *report.random_cases(2)]
-    limits = [report.Limit(case, 1.0, 1.5, 1.4, "", "", False, 0.0) for case in cases]
+    default = Case("stiffness", {"n_pairs": 3, "joint_stiffness": LatticeDesign().joint_stiffness})
+    shared = [default, replace(default, group="damping", design={"n_pairs": 3}), *random_cases(2)]
+    limits = [Limit(case, 1.0, 1.5, 1.4, "", "", False, 0.0) for case in shared]
     limits[-1] = replace(limits[-1], beyond="collapse")
-    found = report.summarise(limits)["within_1_percent"]
+    found = summarise(limits)["within_1_percent"]
     assert [found[key] for key in ("n_counted", "n_design", "n_random", "n_collapse")] == [3, 2, 1, 1]
 
 
 def test_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A case that collapses is listed apart, the others are counted, and all is written."""
-    monkeypatch.setattr(report, "GRID", {"load": {"tension": (0.5, 4.0), "modulus": (0.01, 100.0)}})
-    report.report(tmp_path, command="test", jobs=1, n_random=0)
+    monkeypatch.setattr(cases, "GRID", {"load": {"tension": (0.5, 4.0), "modulus": (0.01, 100.0)}})
+    report(tmp_path, command="test", quick=False, jobs=1, seed=0, n_random=0)
     result = json.loads((tmp_path / "stability.json").read_text())
     assert (result["summary"]["n_case"], len(result["cases"])) == (4, 4)
     assert {row["beyond"] for row in result["cases"] if row["case"]["factors"].get("modulus") == 0.01} == {"collapse"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,28 +12,42 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lattice_gym.benchmarks import cold_start, machine, operations, scaling, throughput, throughput_study
 from lattice_gym.benchmarks.__main__ import main
-from lattice_gym.benchmarks.engines import BENCHMARK_DT, benchmark_model
-from lattice_gym.benchmarks.operations import Counting
-from lattice_gym.benchmarks.plain_pyelastica import PlainPyElastica
-from lattice_gym.benchmarks.scaling import Growth, fit, record_bytes
-from lattice_gym.benchmarks.scene_costs import SCENES
-from lattice_gym.benchmarks.throughput import Target
+from lattice_gym.benchmarks.benchmark_scene import BENCHMARK_DT, benchmark_model
+from lattice_gym.benchmarks.throughput import cold_start, report, study
+from lattice_gym.benchmarks.throughput.features import FEATURES
+from lattice_gym.benchmarks.throughput.growth import LEVELS_PER_PAIR, Growth, fit, record_bytes, second_level_cache
+from lattice_gym.benchmarks.throughput.plain_pyelastica import PlainPyElastica
+from lattice_gym.benchmarks.throughput.targets import Target, over_bare, variation
 from lattice_gym.benchmarks.timing import allocated, digits, interleaved, seconds, spread
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.engines.fused.engine import FusedEngine
+from lattice_gym.engines.fused.pack import Pack
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.worm import build_model
+
+BRIEF = replace(
+    study.QUICK,
+    repeats=1,
+    steps={"fused": 200, "pyelastica": 10, "plain": 10},
+    meshes=(5, 10, 15),
+    muscles=(0, 32),
+    pairs=(4, 8),
+    features=tuple(feature for feature in FEATURES if feature.name in ("bare", "ground", "adaptation", "step check")),
+)
+"""The quick form with less of each kind; these features need no more than a kernel or two to be compiled."""
 
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, Any]]:
-    """Text and figures of the quick report; speed is for the report to judge, the exit status is its verdict."""
+    """Text and figures of a brief report; speed is for the report to judge, the exit status is its verdict."""
     folder = tmp_path_factory.mktemp("reports")
-    status = main(["--out", str(folder), "throughput", "--quick"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "QUICK", BRIEF)
+        starts = {"from nothing": [9.0], "cached": [1.0]}
+        patch.setattr(report, "cold_starts", lambda repeats: starts)
+        status = main(["--out", str(folder), "throughput", "--quick"])
     text = (folder / "throughput.md").read_text()
     result = json.loads((folder / "throughput.json").read_text(), parse_constant=pytest.fail)
     assert status == (0 if all(target["reached"] for target in result["targets"]) else 1)
@@ -57,7 +72,7 @@ def test_the_verdicts_are_computed(quick: tuple[str, dict[str, Any]]) -> None:
         several = measured["16 worms on two threads, times faster than PyElastica"]
         own = middle(batches[16, 2]["seconds_per_worm_step"])
         assert several == pytest.approx(middle(result["pyelastica_beside_batches"]) / own)
-    ratios = np.divide(result["scenes"]["ground"], result["scenes"]["bare"])
+    ratios = np.divide(result["features"]["ground"], result["features"]["bare"])
     assert measured["cost of a ground over the bare scene"] == pytest.approx(np.median(ratios) - 1.0)
     assert measured["first step from nothing"] == middle(result["cold_starts"]["from nothing"])
     for target in result["targets"]:
@@ -73,23 +88,32 @@ def test_physics_agrees(quick: tuple[str, dict[str, Any]]) -> None:
 
 
 def test_everything_is_timed(quick: tuple[str, dict[str, Any]]) -> None:
-    """All sizes on all threads, every scene, every count; times are positive and as many as rounds."""
+    """All sizes on all threads, every feature, every count; times are positive and as many as rounds."""
     text, result = quick
-    plan = throughput_study.QUICK
-    threads = throughput_study.thread_counts()
+    threads = study.thread_counts()
     assert [(row["worms"], row["threads"]) for row in result["batches"]] == [
-        (n_worm, own) for n_worm in plan.sizes for own in threads
+        (n_worm, own) for n_worm in BRIEF.sizes for own in threads
     ]
     times = [row[key] for row in result["batches"] for key in ("seconds_per_worm_step", "seconds_per_control_step")]
-    assert list(result["scenes"]) == [scene.name for scene in SCENES]
-    times += result["scenes"].values()
-    times += [own for growth in result["scaling"].values() for own in growth["times"]]
-    assert {len(own) for own in times} == {plan.repeats}
+    assert list(result["features"]) == [feature.name for feature in BRIEF.features]
+    times += result["features"].values()
+    times += [own for growth in result["growth"].values() for own in growth["times"]]
+    assert {len(own) for own in times} == {BRIEF.repeats}
     assert min(min(own) for own in times) > 0.0
-    assert result["scaling"]["muscles"]["count"] == list(plan.muscles)
-    assert all(f"| {scene.name} " in text for scene in SCENES)
+    assert result["growth"]["muscles"]["count"] == list(BRIEF.muscles)
+    assert all(f"| {feature.name} " in text for feature in BRIEF.features)
     assert result["bytes_per_worm"] > record_bytes(benchmark_model()) / 2
     assert "`python -m lattice_gym.benchmarks throughput --quick`" in text
+
+
+def test_every_feature_changes_the_worm() -> None:
+    """Its model differs from the bare one, or what goes along with it does; the names are its own."""
+    bare = FEATURES[0].build()
+    assert len({feature.name for feature in FEATURES}) == len(FEATURES)
+    for feature in FEATURES[1:]:
+        model = feature.build()
+        changed = [name for name, value in vars(model).items() if repr(value) != repr(getattr(bare, name))]
+        assert changed or feature.adaptation or feature.checks, feature.name
 
 
 def test_a_missed_target_shows() -> None:
@@ -107,8 +131,8 @@ def test_a_missed_target_shows() -> None:
 
 def test_shares_over_what_they_are_of() -> None:
     """Greatest over least; every round over the bare scene of that round."""
-    assert throughput.variation([2.0, 3.0, 2.5]) == pytest.approx(0.5)
-    assert throughput.over_bare({"bare": [1.0, 2.0], "b": [2.0, 3.0]}, "b") == pytest.approx([1.0, 0.5])
+    assert variation([2.0, 3.0, 2.5]) == pytest.approx(0.5)
+    assert over_bare({"bare": [1.0, 2.0], "b": [2.0, 3.0]}, "b") == pytest.approx([1.0, 0.5])
 
 
 # Growth
@@ -146,11 +170,9 @@ def test_growth_within_a_cache() -> None:
 @pytest.mark.parametrize("pairs", [4, 6, 10])
 def test_record_bytes_are_those_of_the_engine(pairs: int) -> None:
     """With one block of rods and with two, and muscles beside them."""
-    lattice = build_lattice(LatticeDesign(n_pairs=pairs, period_ratio=pairs / scaling.LEVELS_PER_PAIR))
+    lattice = build_lattice(LatticeDesign(n_pairs=pairs, period_ratio=pairs / LEVELS_PER_PAIR))
     model = build_model(lattice, named_layout("all", lattice))
-    engine = simulate("fused", model, 1e-5)
-    assert isinstance(engine, FusedEngine)
-    assert record_bytes(model) == engine._cells.nbytes
+    assert record_bytes(model) == Pack([model], 1e-5, "symmetric").cells.nbytes
 
 
 # PyElastica
@@ -179,51 +201,14 @@ def test_plain_pyelastica_refuses_what_it_lacks() -> None:
             PlainPyElastica(model, 0.5, BENCHMARK_DT)
 
 
-# Operations and the machine
-
-
-def test_counting_numbers_count() -> None:
-    """Signs and comparisons are free, division by a constant is a multiplication; values are right."""
-    operations._done.clear()
-    x: Any = Counting(4.0)
-    y: Any = Counting(2.0)
-    result = -(1.0 - x / 2.0) * y + 3.0 * np.sqrt(x) / y - 1.0 / x + (y - 1.0)
-    assert result.value == pytest.approx(2.0 + 3.0 - 0.25 + 1.0)
-    assert (x > y, x < y, x > 5.0) == (True, False, False)
-    assert dict(operations._done) == {"add": 5, "multiply": 3, "divide": 2, "root": 1}
-
-
-def test_operations_of_a_step() -> None:
-    """One root an element, for its length; every element is found, and no lane is taken for one."""
-    work, model = operations.count_operations(), benchmark_model()
-    assert work.elements == work.operations["root"] == model.n_elem
-    assert work.lane_elements * work.bytes_per_element < record_bytes(model)
-    assert work.operations["multiply"] > work.operations["add"] > 9 * model.n_elem
-    assert work.total == sum(work.operations.values())
-
-
-def test_a_failed_count_says_why(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """The reason is that of the process that counts, here a Python without its library."""
-    monkeypatch.setenv("PYTHONHOME", str(tmp_path))
-    with pytest.raises(RuntimeError, match=r"(?s)counting operations failed: .*encodings"):
-        operations.count_operations()
-
-
 def test_second_level_cache(tmp_path: Path) -> None:
     """Of what the machine says of its caches; None where it says nothing."""
-    assert machine.second_level_cache(tmp_path) is None
+    assert second_level_cache(tmp_path) is None
     for k, (level, size) in enumerate((("1", "48K"), ("1", "32K"), ("2", "1024K"), ("3", "32768K"))):
         (tmp_path / f"index{k}").mkdir()
         (tmp_path / f"index{k}" / "level").write_text(f"{level}\n")
         (tmp_path / f"index{k}" / "size").write_text(f"{size}\n")
-    assert machine.second_level_cache(tmp_path) == 2**20
-
-
-def test_multiply_adds_are_done() -> None:
-    """Every number goes through the whole chain in every round."""
-    numbers = np.arange(4.0)
-    machine._multiply_add(numbers, 2.0, 1.0, 1)
-    np.testing.assert_array_equal(numbers, (np.arange(4.0) + 1.0) * 2.0**machine.CHAIN - 1.0)
+    assert second_level_cache(tmp_path) == 2**20
 
 
 # Timing
@@ -259,7 +244,7 @@ def test_memory_is_measured() -> None:
 @pytest.mark.parametrize(("cores", "counts"), [(1, [1]), (2, [1, 2]), (6, [1, 2, 4, 6]), (8, [1, 2, 4, 8])])
 def test_thread_counts(cores: int, counts: list[int]) -> None:
     """Powers of two, and all cores."""
-    assert throughput_study.thread_counts(cores) == counts
+    assert study.thread_counts(cores) == counts
 
 
 def test_an_environment_that_hides_its_physics_is_refused() -> None:
@@ -270,7 +255,20 @@ def test_an_environment_that_hides_its_physics_is_refused() -> None:
         step=lambda action: None,
     )
     with pytest.raises(RuntimeError, match="advance"):
-        throughput_study._time_overhead(silent)
+        study._time_overhead(silent)
+
+
+def test_starts_are_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both in turn, from a folder that is empty at first."""
+    monkeypatch.setattr(cold_start, "_FIRST_STEP", "print('stepped', flush=True)")
+    times = cold_start.cold_starts(2)
+    assert {kind: len(taken) for kind, taken in times.items()} == {"from nothing": 2, "cached": 2}
+    assert min(map(min, times.values())) > 0.0
+
+
+def test_the_first_step_is_one() -> None:
+    """What is timed runs, here with what was compiled before."""
+    assert cold_start.first_step(os.environ.get("NUMBA_CACHE_DIR", "")) > 0.0
 
 
 def test_a_failed_start_says_why(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

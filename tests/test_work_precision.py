@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
-from lattice_gym.benchmarks import motions, precision_study, work_precision
 from lattice_gym.benchmarks.__main__ import main
-from lattice_gym.benchmarks.motions import SCENES, Course, Setting, compare, extrapolated, run
-from lattice_gym.benchmarks.pefrl import pefrl_faults
+from lattice_gym.benchmarks.work_precision import motions, report, study
+from lattice_gym.benchmarks.work_precision.motions import SCENES, Course, Setting, compare, extrapolated, run
+from lattice_gym.benchmarks.work_precision.pefrl import pefrl_faults
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
@@ -29,7 +29,7 @@ from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.registry import TASKS
 
 BRIEF = replace(SCENES[0], duration=0.1)
-RESULTS = Path(work_precision.__file__).parent / "results"
+RESULTS = Path(report.__file__).parents[1] / "results"
 SHARE = r"-?[\d.]+(?= %)"
 
 
@@ -39,7 +39,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     folder = tmp_path_factory.mktemp("reports")
     status = main(["--out", str(folder), "work-precision", "--quick"])
     result = json.loads((folder / "work-precision.json").read_text())
-    assert status == (0 if result["least_ratio"] >= work_precision.LEAST_GAIN else 1)
+    assert status == (0 if result["least_ratio"] >= report.LEAST_GAIN else 1)
     return folder, result
 
 
@@ -65,25 +65,25 @@ def test_quick_report_is_whole(quick: tuple[Path, dict[str, Any]]) -> None:
 
 def test_errors_are_ordered(quick: tuple[Path, dict[str, Any]]) -> None:
     """In time, order one with PyElastica's damping and two with the symmetric one; in space, finer is better."""
-    for study in quick[1]["studies"]:
+    for scene in quick[1]["studies"]:
         for splitting, order in (("pyelastica", 1.0), ("symmetric", 2.0)):
             wanted: dict[str, Any] = {"engine": "fused", "splitting": splitting, "status": "ok"}
             wanted |= {"elements_per_segment": 5, "muscle_model": "rod"}
-            own = [point for point in study["points"] if wanted.items() <= point.items()]
+            own = [point for point in scene["points"] if wanted.items() <= point.items()]
             errors = [point["time_error"][0] for point in own]
             slope = np.polyfit(np.log([point["dt"] for point in own]), np.log(errors), 1)[0]
             assert slope == pytest.approx(order, abs=0.3)
-        rods = [row for row in study["mesh_errors"] if row["muscle_model"] == "rod"]
+        rods = [row for row in scene["mesh_errors"] if row["muscle_model"] == "rod"]
         errors = [row["error"][0] for row in sorted(rods, key=lambda row: row["elements_per_segment"])]
         assert len(errors) == 4
         assert errors == sorted(errors, reverse=True)
-        assert study["reference_error"][0] < errors[-1]
+        assert scene["reference_error"][0] < errors[-1]
 
 
 def test_failed_points_stay(quick: tuple[Path, dict[str, Any]]) -> None:
     """A step of 1 ms fails on every mesh: it is listed with its cost and status, and without an error."""
-    for study in quick[1]["studies"]:
-        failed = [point for point in study["points"] if point["status"] != "ok"]
+    for scene in quick[1]["studies"]:
+        failed = [point for point in scene["points"] if point["status"] != "ok"]
         assert {(point["n_substeps"], point["elements_per_segment"]) for point in failed} >= {(50, 1), (50, 2), (50, 5)}
         assert all(point["error"] == [None, None] and point["cost"] > 0.0 for point in failed)
 
@@ -93,8 +93,8 @@ def test_fidelities_are_ordered(quick: tuple[Path, dict[str, Any]]) -> None:
     for returns in quick[1]["gait_returns"].values():
         assert returns["fast"] == pytest.approx(returns["fine"], rel=0.1)
         assert returns["default"] == pytest.approx(returns["fine"], rel=0.04)
-    for study in quick[1]["studies"]:
-        points = [study["fidelities"][name] for name in get_args(FidelityName)]
+    for scene in quick[1]["studies"]:
+        points = [scene["fidelities"][name] for name in get_args(FidelityName)]
         costs, errors = [point["cost"] for point in points], [point["error"][0] for point in points]
         assert costs == sorted(costs)
         assert errors == sorted(errors, reverse=True)
@@ -107,17 +107,7 @@ def test_pefrl_is_unusable() -> None:
 
 def test_engines_take_the_same_course() -> None:
     """What lets the report time PyElastica without running it out."""
-    assert precision_study.same_course(SCENES[1], 1) < 1e-12
-
-
-def test_progress_is_shown(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """A line once ten seconds have passed, and no more."""
-    clock = iter([0.0, 5.0, 11.0, 12.0])
-    monkeypatch.setattr("lattice_gym.benchmarks.precision_study.time.monotonic", lambda: next(clock))
-    progress = precision_study.Progress()
-    for text in ("a", "b", "c"):
-        progress(text)
-    assert capsys.readouterr().err == "work-precision, 11 s: b\n"
+    assert study.same_course(SCENES[1], 1) < 1e-12
 
 
 # Runs and their errors
@@ -276,8 +266,8 @@ def test_the_table_of_fidelities_is_measured(name: FidelityName, measured: dict[
     shares, returns = re.findall(SHARE, errors), re.findall(SHARE, earned) or ["0", "0"]
 
     studies = measured["studies"]
-    assert [study["scene"]["outcome"] for study in studies] == ["strain", "bend angle", "ring radii"]
-    points = [study["fidelities"][name] for study in studies]
+    assert [scene["scene"]["outcome"] for scene in studies] == ["strain", "bend angle", "ring radii"]
+    points = [scene["fidelities"][name] for scene in studies]
     changes = [gained[name] / gained["fine"] - 1.0 for gained in measured["gait_returns"].values()]
     mean_cost = sum(point["cost"] for point in points) / len(points)
     assert {
@@ -306,9 +296,9 @@ def test_the_text_on_fidelities_is_measured(measured: dict[str, Any]) -> None:
     assert cheaper is not None
 
     worst: dict[str, float] = {}
-    for point in (point for study in studies for point in study["fidelities"].values()):
+    for point in (point for scene in studies for point in scene["fidelities"].values()):
         worst[point["splitting"]] = max(worst.get(point["splitting"], 0.0), point["time_error"][0])
-    cost = {name: sum(study["fidelities"][name]["cost"] for study in studies) for name in ("fast", "default")}
+    cost = {name: sum(scene["fidelities"][name]["cost"] for scene in studies) for name in ("fast", "default")}
     words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
     assert {
         "time errors": errors,

@@ -2,116 +2,153 @@
 
 from __future__ import annotations
 
-import argparse
 import math
+import re
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import get_args
+from pkgutil import resolve_name
+from typing import Any
 
-from lattice_gym.engines.registry import EngineName
+import tyro
 
-FRESH_SEED = 1000
-"""Of the stability report's random designs: those below were looked at while the prediction was made."""
-
-RESULTS = Path("runs/reports")
+from lattice_gym.engines.registry import ENGINES, EngineName
 
 
-def _tension(text: str) -> float:
-    value = float(text)
-    if not (math.isfinite(value) and value > 0.0):
-        raise ValueError(text)
-    return value
+@dataclass(frozen=True, kw_only=True)
+class Paper:
+    """The paper's three motions beside its Table 2."""
+
+    engine: EngineName = "fused"
+    """Name of the engine: fused or pyelastica."""
+    tension: tuple[float, ...] = (0.5, 1.0)
+    """Tension in each muscle [N]; one table row a motion for each."""
+    pictures: bool = True
+    """Draw the final shapes."""
+
+    def __post_init__(self) -> None:
+        """Check the engine's name and the tensions."""
+        if self.engine not in ENGINES:
+            raise ValueError(f"engine = {self.engine}: must be one of {', '.join(ENGINES)}")
+        if not self.tension or not all(math.isfinite(value) and value > 0.0 for value in self.tension):
+            raise ValueError(f"tension = {self.tension}: must be positive and finite")
 
 
-def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise ValueError(text)
-    return value
+@dataclass(frozen=True, kw_only=True)
+class Engines:
+    """Agreement and speed of the fused engine against PyElastica."""
 
 
-def parser() -> argparse.ArgumentParser:
-    """Build the command line's parser."""
-    top = argparse.ArgumentParser(
-        prog="python -m lattice_gym.benchmarks", description="Measure what the engines reach."
-    )
-    top.add_argument(
-        "--out", type=Path, default=RESULTS, help=f"folder for tables, figures and pictures (default: {RESULTS})"
-    )
-    names = top.add_subparsers(dest="name", required=True)
-    paper = names.add_parser("paper", help="the paper's three motions beside its Table 2")
-    paper.add_argument("--engine", choices=get_args(EngineName), default="fused", help="default: fused")
-    paper.add_argument(
-        "--tension", type=_tension, nargs="+", default=[0.5, 1.0], help="tension in each muscle [N] (default: 0.5 1)"
-    )
-    paper.add_argument("--no-pictures", action="store_true", help="leave out the picture of the final shapes")
-    precision = names.add_parser("work-precision", help="error against run time, over step, mesh, damping and muscles")
-    precision.add_argument("--quick", action="store_true", help="shorter motions, fewer settings: half a minute")
-    names.add_parser("engines", help="agreement and speed of the fused engine against PyElastica")
-    stability = names.add_parser("stability", help="the predicted stable step against the measured one")
-    stability.add_argument("--quick", action="store_true", help="fewer cases: less than a minute")
-    stability.add_argument("--jobs", type=int, choices=range(1, 65), default=2, metavar="N", help="processes, 1 to 64")
-    stability.add_argument(
-        "--seed", type=_seed, default=FRESH_SEED, help="of the random designs (default: %(default)s)"
-    )
-    validation = names.add_parser("validation", help="both engines on every exact case, and orders of convergence")
-    validation.add_argument("--quick", action="store_true", help="coarse meshes, fewer orders")
-    validation.add_argument("--no-pictures", action="store_true", help="leave out the picture")
-    divergence = names.add_parser("divergence", help="is every run that goes wrong caught, and no other")
-    divergence.add_argument("--quick", action="store_true", help="a tenth of the runs: half a minute")
-    throughput = names.add_parser("throughput", help="cost of a step as worms, features and elements grow")
-    throughput.add_argument("--quick", action="store_true", help="smaller batches, fewer repeats: a minute")
-    return top
+@dataclass(frozen=True, kw_only=True)
+class Validation:
+    """Both engines on every exact case, and orders of convergence."""
+
+    quick: bool = False
+    """Coarse meshes, fewer orders."""
+    pictures: bool = True
+    """Draw the figure."""
 
 
-def _command(options: argparse.Namespace) -> str:
-    """Command line that makes a report again: every option that is not its default, without the folder."""
-    words = ["python -m lattice_gym.benchmarks", options.name]
-    defaults = vars(parser().parse_args([options.name]))
-    for name, value in vars(options).items():
-        if name != "out" and value != defaults[name]:
-            words.append(f"--{name.replace('_', '-')}")
-            if value is not True:
-                words += map(str, value if isinstance(value, list) else [value])
+@dataclass(frozen=True, kw_only=True)
+class WorkPrecision:
+    """Error against run time, over step, mesh, damping and muscles."""
+
+    quick: bool = False
+    """Shorter motions, fewer settings: half a minute."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stability:
+    """The predicted stable step against the measured one."""
+
+    quick: bool = False
+    """Fewer cases: less than a minute."""
+    jobs: int = 2
+    """Processes, 1 to 64."""
+    seed: int = 1000
+    """Of the random designs; those below the default were looked at while the prediction was made."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not 1 <= self.jobs <= 64:
+            raise ValueError(f"jobs = {self.jobs}: must be 1 to 64")
+        if self.seed < 0:
+            raise ValueError(f"seed = {self.seed}: must be 0 or more")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Divergence:
+    """Is every run that goes wrong caught, and no other."""
+
+    quick: bool = False
+    """A tenth of the runs: half a minute."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Throughput:
+    """Cost of a step as worms, features and elements grow."""
+
+    quick: bool = False
+    """Smaller batches, fewer repeats: a minute."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unchanged:
+    """Are states, observations and rewards those of an older commit, to the last bit, and no slower."""
+
+    old: Path
+    """Checkout of the older commit."""
+    quick: bool = False
+    """Fewer control steps and rounds."""
+
+
+Report = Paper | Engines | Validation | WorkPrecision | Stability | Divergence | Throughput | Unchanged
+MODULES: dict[type[Report], str] = {
+    Paper: "paper",
+    Engines: "engine_comparison",
+    Validation: "validation.report",
+    WorkPrecision: "work_precision.report",
+    Stability: "stability.report",
+    Divergence: "divergence.report",
+    Throughput: "throughput.report",
+    Unchanged: "unchanged.report",
+}
+"""Where the function `report(folder, *, command, ...)` of each stands; a choice costs its imports only when made."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Measure what the engines reach."""
+
+    report: Report
+    out: Path = Path("runs/reports")
+    """Folder for tables, figures and pictures."""
+
+
+def parse(arguments: Sequence[str] | None = None) -> Options:
+    """Read the command line; ends with status 2 and a line that says why where it is wrong."""
+    plain = (tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes, tyro.conf.CascadeSubcommandArgs)
+    return tyro.cli(Options, prog="python -m lattice_gym.benchmarks", args=arguments, config=plain)
+
+
+def command(report: Report) -> str:
+    """Command line that makes a report again: every option that is not its default, but no folder."""
+    words = ["python -m lattice_gym.benchmarks", re.sub(r"(?<!^)(?=[A-Z])", "-", type(report).__name__).lower()]
+    for field in fields(report):
+        value: Any = getattr(report, field.name)
+        if value != field.default and not isinstance(value, Path):
+            words.append(f"--{'no-' if value is False else ''}{field.name}")
+            if not isinstance(value, bool):
+                words += map(str, value if isinstance(value, tuple) else [value])
     return " ".join(words)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one report; exit status 1 where it shows a failure."""
-    options = parser().parse_args(arguments)
-    command = _command(options)
-    if options.name == "paper":
-        from lattice_gym.benchmarks.paper import report as report_paper
-
-        pictures = not options.no_pictures
-        good = report_paper(options.engine, options.tension, options.out, pictures=pictures, command=command)
-    elif options.name == "work-precision":
-        from lattice_gym.benchmarks.work_precision import report as report_precision
-
-        good = report_precision(options.out, quick=options.quick, command=command)
-    elif options.name == "stability":
-        from lattice_gym.benchmarks.stability import report as report_stability
-
-        jobs, seed = options.jobs, options.seed
-        good = report_stability(options.out, command=command, quick=options.quick, jobs=jobs, seed=seed)
-    elif options.name == "validation":
-        from lattice_gym.benchmarks.validation import report as report_validation
-
-        good = report_validation(options.out, quick=options.quick, pictures=not options.no_pictures, command=command)
-    elif options.name == "divergence":
-        from lattice_gym.benchmarks.divergence import report as report_divergence
-
-        good = report_divergence(options.out, quick=options.quick, command=command)
-    elif options.name == "throughput":
-        from lattice_gym.benchmarks.throughput import report as report_throughput
-
-        good = report_throughput(options.out, quick=options.quick, command=command)
-    else:
-        from lattice_gym.benchmarks.engines import report as report_engines
-
-        good = report_engines(options.out, command=command)
-    return 0 if good else 1
+    options = parse(arguments)
+    report = resolve_name(f"lattice_gym.benchmarks.{MODULES[type(options.report)]}:report")
+    return 0 if report(options.out, command=command(options.report), **vars(options.report)) else 1
 
 
 if __name__ == "__main__":

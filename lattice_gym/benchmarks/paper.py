@@ -16,12 +16,13 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.measures import bend_angle, dilatation, joint_gap, straightness, strain
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.worm import build_model
-from lattice_gym.recording.provenance import provenance
+from lattice_gym.rendering.figures import Still, render_strip
 
 LEAST_STRAIGHTNESS = 0.9
 """A stretch of rod whose chord is shorter than this share of its length (relative to rest) counts as buckled."""
@@ -90,7 +91,7 @@ def run_motion(motion: Motion, tension: float, engine_name: EngineName) -> tuple
     """Hold `tension` [N] in every muscle of the motion's layout for the paper's time at the paper's step."""
     lattice = build_lattice(LatticeDesign())
     model = build_model(lattice, named_layout(motion.name, lattice))
-    engine = make_engine(engine_name, model, motion.dt)
+    engine = simulate(engine_name, model, motion.dt)
     start = time.perf_counter()
     health = engine.advance(np.full(model.n_muscle, tension), round(motion.simulated / motion.dt))
     run_time = time.perf_counter() - start
@@ -117,7 +118,7 @@ def _compile(engine_name: EngineName) -> float:
     start = time.perf_counter()
     lattice = build_lattice(LatticeDesign())
     model = build_model(lattice, named_layout("all", lattice))
-    make_engine(engine_name, model, 1e-4).advance(np.zeros(model.n_muscle), 1)
+    simulate(engine_name, model, 1e-4).advance(np.zeros(model.n_muscle), 1)
     return time.perf_counter() - start
 
 
@@ -155,43 +156,40 @@ HEADER = (
 )
 
 
-def report(engine_name: EngineName, tensions: Sequence[float], folder: Path, *, pictures: bool, command: str) -> bool:
+def report(folder: Path, *, command: str, engine: EngineName, tension: Sequence[float], pictures: bool) -> bool:
     """Run every motion at every tension, write paper.md and paper.json, and paper.png where pictures are wanted.
 
     Returns whether every lattice held.
     """
-    first_step = _compile(engine_name)
+    first_step = _compile(engine)
     rows, outcomes, stills = [], [], []
-    for tension in tensions:
+    for pull in tension:
         for motion in TABLE_2:
-            outcome, lattice, model, state = run_motion(motion, tension, engine_name)
+            outcome, lattice, model, state = run_motion(motion, pull, engine)
             rows.append(_row(motion, outcome))
             outcomes.append(outcome)
             if pictures and outcome.status == "ok":
                 stills.append(
-                    (f"{motion.name}, {tension:g} N: {outcome.value:+.1f} {motion.unit}", lattice, model, state)
+                    Still(
+                        lattice=lattice,
+                        model=model,
+                        position=state.position,
+                        activation=np.ones(model.n_muscle),
+                        title=f"{motion.name}, {pull:g} N: {outcome.value:+.1f} {motion.unit}",
+                    )
                 )
     total = sum(outcome.run_time for outcome in outcomes)
     result: dict[str, Any] = {
-        "engine": engine_name,
+        "engine": engine,
         "first_step": first_step,
         "run_time": total,
         "outcomes": [asdict(outcome) | {"verdict": outcome.verdict} for outcome in outcomes],
-        "made": provenance(command),
     }
     times = (
-        f"Engine `{engine_name}`: {total:.2f} s for the {len(outcomes)} motions, after {first_step:.2f} s to the first "
+        f"Engine `{engine}`: {total:.2f} s for the {len(outcomes)} motions, after {first_step:.2f} s to the first "
         "step (compilation, or loading what was compiled before)."
     )
-    write(folder, "paper", result, [table(HEADER, rows), times])
+    write(folder, "paper", result, [table(HEADER, rows), times], command)
     if stills:
-        from lattice_gym.rendering.figures import Still, render_strip
-
-        pulled = [
-            Still(
-                lattice=lattice, model=model, position=state.position, activation=np.ones(model.n_muscle), title=title
-            )
-            for title, lattice, model, state in stills
-        ]
-        render_strip(pulled, folder / "paper.png")
+        render_strip(stills, folder / "paper.png")
     return all(outcome.verdict == "held" for outcome in outcomes)

@@ -1,4 +1,4 @@
-"""Result files of the reports: JSON and tables."""
+"""Result files of the reports: JSON, and Markdown with tables and a footer."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from lattice_gym.recording.provenance import footer
+from lattice_gym.recording.provenance import footer, provenance
 
 
-def write(folder: Path, name: str, result: dict[str, Any], tables: Sequence[str]) -> None:
-    """Write NAME.json and NAME.md; `result["made"]` is what `provenance` gave. Prints the tables as well."""
+def write(folder: Path, name: str, result: dict[str, Any], parts: Sequence[str], command: str) -> None:
+    """Write NAME.json and NAME.md, both with what `command` made them; prints the text as well."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.json").write_text(json.dumps(_finite(result), indent=1, allow_nan=False) + "\n")
-    text = "\n\n".join([*tables, footer(result["made"])]) + "\n"
+    made = provenance(command)
+    (folder / f"{name}.json").write_text(json.dumps(_finite(result | {"made": made}), indent=1, allow_nan=False) + "\n")
+    text = "\n\n".join([*parts, footer(made)]) + "\n"
     (folder / f"{name}.md").write_text(text)
     sys.stdout.write(text)
 

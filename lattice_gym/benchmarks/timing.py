@@ -8,6 +8,10 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
+from tqdm import tqdm
+
+from lattice_gym.checks import FloatArray
+from lattice_gym.engines.simulation import Simulation
 
 Key = TypeVar("Key", bound=Hashable)
 Made = TypeVar("Made")
@@ -20,10 +24,23 @@ def seconds(action: Callable[[], object], clock: Callable[[], float] = time.thre
     return clock() - start
 
 
-def interleaved(tasks: Mapping[Key, Callable[[], float]], repeats: int) -> dict[Key, list[float]]:
-    """Collect what every task gives, round by round, after a round that compiles and warms up."""
+def seconds_per_step(
+    engine: Simulation, tension: FloatArray, n_steps: int, clock: Callable[[], float] = time.thread_time
+) -> float:
+    """Time of a step [s] of a motion from rest under a tension [N]; while it is stable, steps cost the same."""
+    engine.restore(engine.model.rest_state())
+    return seconds(lambda: engine.advance(tension, n_steps), clock) / n_steps
+
+
+def interleaved(
+    tasks: Mapping[Key, Callable[[], float]], repeats: int, name: str | None = None
+) -> dict[Key, list[float]]:
+    """Collect what every task gives, round by round, after a round that compiles and warms up.
+
+    With a `name`, progress is shown on stderr.
+    """
     given: dict[Key, list[float]] = {key: [] for key in tasks}
-    for repeat in range(-1, repeats):
+    for repeat in tqdm(range(-1, repeats), desc=name, unit="round", disable=name is None):
         for key, task in tasks.items():
             value = task()
             if repeat >= 0:

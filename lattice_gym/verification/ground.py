@@ -17,11 +17,10 @@ from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.rod import Rod, straight_rod
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import Ground
-from lattice_gym.verification.scene import Case, Reading, Scene, pass_time
+from lattice_gym.verification.bar import AREA, LENGTH, RADIUS, RHO
+from lattice_gym.verification.case import Reading, Scene, advance_by, exact_case, sample
 
-RHO, RADIUS, LENGTH = 1000.0, 0.1, 1.0
 MEDIUM, GRAVITY = 400.0, 9.81
-AREA = np.pi * RADIUS**2
 NET_GRAVITY = (1.0 - MEDIUM / RHO) * GRAVITY
 """What a rod of density RHO falls with in the medium [m/s^2]."""
 STIFFNESS, DAMPING = 4000.0, 350.0
@@ -43,6 +42,16 @@ def _weight(n_elem: int, gravity: float = GRAVITY) -> FloatArray:
     return weight
 
 
+@exact_case(
+    "Rest on the ground",
+    quantity="depth [mm]",
+    abscissa="y [m]",
+    exact="m g (1 - rho_medium / rho) / k",
+    source="Archimedes' principle; Hooke's law",
+    n_elem=4,
+    tolerance=1e-8,
+    reason="e^-20 of the start is left at the slowest node; the rod itself bears 1e-9 of it",
+)
 def rest_penetration(n_elem: int) -> Scene:
     """Block that starts with its surface on the ground, unloaded, and sinks in."""
     model = RodModel(
@@ -53,8 +62,7 @@ def rest_penetration(n_elem: int) -> Scene:
     )
 
     def observe(engine: Simulation) -> Reading:
-        pass_time(engine, 3.0)
-        depth = RADIUS - engine.state.position[:, 2]
+        depth = RADIUS - advance_by(engine, 3.0).position[:, 2]
         return Reading(np.linspace(0.0, LENGTH, n_elem + 1), 1e3 * depth, 1e3 * _weight(n_elem) / STIFFNESS)
 
     return Scene(model, model.rest_state(), 1e-3, observe)
@@ -64,6 +72,17 @@ DRAG, FALL_STEP = 60.0, 2.5e-4
 FALL_DENSITIES = (2000.0, 200.0)
 
 
+@exact_case(
+    "Fall and rise in a medium",
+    quantity="speed over terminal speed",
+    abscissa="t [s]",
+    exact="v(t) = g (rho_medium - rho) A / c (1 - exp(-c t / (rho A)))",
+    source="linear drag c per length; Archimedes' principle",
+    n_elem=4,
+    tolerance=0.6 * FALL_STEP * DRAG / (min(FALL_DENSITIES) * AREA),
+    reason="damped after the kick, the terminal speed is x / (e^x - 1) of the true one, with x = c dt / (rho A); a "
+    "fifth to spare",
+)
 def free_fall(n_elem: int) -> Scene:
     """Two rods in the medium, one heavier and one lighter than it, let go at rest."""
     model = RodModel(
@@ -76,17 +95,15 @@ def free_fall(n_elem: int) -> Scene:
     terminal, rate = (MEDIUM - density) * AREA * GRAVITY / DRAG, DRAG / (density * AREA)
 
     def observe(engine: Simulation) -> Reading:
-        times, measured = np.linspace(0.2, 2.0, 10), []
-        for _ in times:
-            pass_time(engine, 0.2)
-            measured.append(engine.state.velocity[:, 2] / terminal)
-        return Reading(times, np.array(measured), -np.expm1(-np.outer(times, rate)))
+        times = np.linspace(0.2, 2.0, 10)
+        measured = sample(engine, times, lambda state: state.velocity[:, 2] / terminal)
+        return Reading(times, measured, -np.expm1(-np.outer(times, rate)))
 
     return Scene(model, model.rest_state(), FALL_STEP, observe)
 
 
 SLIP_SPEED, FRICTION, SLIP_STEPS = 1.0, 0.5, 400.5
-"""Start of the sliding blocks [m/s], their coefficient, and the steps in which the one that is held most stops."""
+"""Start of the sliding blocks [m/s], their coefficient, and the steps in which the one that is braked most stops."""
 HEADINGS = np.radians([0.0, 180.0, 90.0, 45.0, 210.0])
 """Of the sliding blocks, from the axis that they have in common."""
 YAW = 0.3
@@ -105,16 +122,13 @@ def _start(model: RodModel, weight: FloatArray, velocity: FloatArray, yaw: float
 
 def _track(engine: Simulation, times: FloatArray, direction: FloatArray) -> FloatArray:
     """Way of every node along its block's direction, shape (n_block, 3), at even times: (n_time, n_node)."""
-    model, start, way = engine.model, engine.state.position, []
+    model, start = engine.model, engine.state.position
     along = np.repeat(direction, model.n_node // model.n_rod, axis=0)
-    for _ in times:
-        pass_time(engine, times[0])
-        way.append(np.sum((engine.state.position - start) * along, axis=1))
-    return np.array(way)
+    return sample(engine, times, lambda state: np.sum((state.position - start) * along, axis=1))
 
 
 def _until_rest(times: FloatArray, speed: FloatArray, acceleration: FloatArray) -> FloatArray:
-    """Way of what starts at a speed and is held by an acceleration until it stops, shape (n_time, n_block)."""
+    """Way of what starts at a speed and is braked by a deceleration until it stops, shape (n_time, n_block)."""
     moving = np.minimum(times[:, None], speed / acceleration)
     way: FloatArray = speed * moving - 0.5 * acceleration * moving**2
     return way
@@ -146,11 +160,31 @@ def _slide(n_elem: int, forward: float, backward: float, sideways: float) -> Sce
     return Scene(model, _start(model, _weight(n_elem), SLIP_SPEED * heading, YAW), float(dt), observe)
 
 
+@exact_case(
+    "Sliding block",
+    quantity="way along the start [m]",
+    abscissa="t [s]",
+    exact="v0 t - mu g' t^2 / 2, at most v0^2 / (2 mu g')",
+    source=COULOMB,
+    n_elem=2,
+    tolerance=1.0 / SLIP_STEPS**2,
+    reason="the step in which a block stops takes what speed is left, at most mu g' dt",
+)
 def sliding_block(n_elem: int) -> Scene:
     """Blocks that slide off in five directions, with one friction."""
     return _slide(n_elem, 1.0, 1.0, 1.0)
 
 
+@exact_case(
+    "Sliding block, friction by direction",
+    quantity="way along the start [m]",
+    abscissa="t [s]",
+    exact="v0 t - mu g' t^2 / 2, with mu = mu0 sqrt((f e_along)^2 + (f_s e_across)^2)",
+    source=COULOMB,
+    n_elem=2,
+    tolerance=1.0 / SLIP_STEPS**2,
+    reason="as for one friction",
+)
 def sliding_block_by_direction(n_elem: int) -> Scene:
     """Take the same, with other friction forwards, backwards and sideways of how they lie."""
     return _slide(n_elem, 0.5, 1.5, 0.8)
@@ -183,6 +217,16 @@ def _incline(n_elem: int, slope: float, speed: FloatArray, acceleration: FloatAr
     return Scene(model, start, INCLINE_STEP, observe)
 
 
+@exact_case(
+    "Incline between both frictions",
+    quantity="way down [m]",
+    abscissa="t [s]",
+    exact="0 from rest; v0 t + g' (sin a -+ mu_k cos a) t^2 / 2 on the way down or up, where it stops for good",
+    source=COULOMB,
+    n_elem=2,
+    tolerance=2e-5,
+    reason="the step in which a block stops takes what speed is left: g' dt^2 / 2 of 0.3 m",
+)
 def incline(n_elem: int) -> Scene:
     """Blocks at rest, on their way down and on their way up, where a block at rest holds and one that slips goes on."""
     sine, cosine = NET_GRAVITY * np.array([MODERATE, 1.0]) / np.hypot(MODERATE, 1.0)
@@ -190,91 +234,21 @@ def incline(n_elem: int) -> Scene:
     return _incline(n_elem, MODERATE, np.array([0.0, 0.5, -0.5]), acceleration)
 
 
+@exact_case(
+    "Incline above both frictions",
+    quantity="way down [m]",
+    abscissa="t [s]",
+    exact="g' (sin a - mu_k cos a) t^2 / 2",
+    source=COULOMB,
+    n_elem=2,
+    tolerance=1e-9,
+    reason="rounding: position Verlet takes a constant acceleration without error",
+)
 def steep_incline(n_elem: int) -> Scene:
     """Block at rest on a slope that does not hold it."""
     sine, cosine = NET_GRAVITY * np.array([STEEP, 1.0]) / np.hypot(STEEP, 1.0)
     return _incline(n_elem, STEEP, np.zeros(1), np.array([sine - KINETIC * cosine]))
 
 
-GROUND_CASES = (
-    Case(
-        name="rest_penetration",
-        title="Rest on the ground",
-        quantity="depth [mm]",
-        abscissa="y [m]",
-        exact="m g (1 - rho_medium / rho) / k",
-        source="Archimedes' principle; Hooke's law",
-        build=rest_penetration,
-        n_elem=4,
-        coarse=4,
-        tolerance=lambda n: 1e-8,
-        reason="e^-20 of the start is left at the slowest node; the rod itself bears 1e-9 of it",
-    ),
-    Case(
-        name="free_fall",
-        title="Fall and rise in a medium",
-        quantity="speed over terminal speed",
-        abscissa="t [s]",
-        exact="v(t) = g (rho_medium - rho) A / c (1 - exp(-c t / (rho A)))",
-        source="linear drag c per length; Archimedes' principle",
-        build=free_fall,
-        n_elem=4,
-        coarse=4,
-        tolerance=lambda n: 0.6 * FALL_STEP * DRAG / (min(FALL_DENSITIES) * AREA),
-        reason="damped after the kick, the terminal speed is x / (e^x - 1) of the true one, with x = c dt / (rho A); a "
-        "fifth to spare",
-    ),
-    Case(
-        name="sliding_block",
-        title="Sliding block",
-        quantity="way along the start [m]",
-        abscissa="t [s]",
-        exact="v0 t - mu g' t^2 / 2, at most v0^2 / (2 mu g')",
-        source=COULOMB,
-        build=sliding_block,
-        n_elem=2,
-        coarse=2,
-        tolerance=lambda n: 1.0 / SLIP_STEPS**2,
-        reason="the step in which a block stops takes what speed is left, at most mu g' dt",
-    ),
-    Case(
-        name="sliding_block_by_direction",
-        title="Sliding block, friction by direction",
-        quantity="way along the start [m]",
-        abscissa="t [s]",
-        exact="v0 t - mu g' t^2 / 2, with mu = mu0 sqrt((f e_along)^2 + (f_s e_across)^2)",
-        source=COULOMB,
-        build=sliding_block_by_direction,
-        n_elem=2,
-        coarse=2,
-        tolerance=lambda n: 1.0 / SLIP_STEPS**2,
-        reason="as for one friction",
-    ),
-    Case(
-        name="incline",
-        title="Incline between both frictions",
-        quantity="way down [m]",
-        abscissa="t [s]",
-        exact="0 from rest; v0 t + g' (sin a -+ mu_k cos a) t^2 / 2 on the way down or up, where it stops for good",
-        source=COULOMB,
-        build=incline,
-        n_elem=2,
-        coarse=2,
-        tolerance=lambda n: 2e-5,
-        reason="the step in which a block stops takes what speed is left: g' dt^2 / 2 of 0.3 m",
-    ),
-    Case(
-        name="steep_incline",
-        title="Incline above both frictions",
-        quantity="way down [m]",
-        abscissa="t [s]",
-        exact="g' (sin a - mu_k cos a) t^2 / 2",
-        source=COULOMB,
-        build=steep_incline,
-        n_elem=2,
-        coarse=2,
-        tolerance=lambda n: 1e-9,
-        reason="rounding: position Verlet takes a constant acceleration without error",
-    ),
-)
+GROUND_CASES = (rest_penetration, free_fall, sliding_block, sliding_block_by_direction, incline, steep_incline)
 """Every case of weight, drag and ground."""

@@ -1,0 +1,1 @@
+"""Divergence: whether every run that goes wrong is caught, and no other."""

@@ -1,0 +1,1 @@
+"""Stability: the predicted stable time step against the measured one."""

@@ -1,0 +1,1 @@
+"""Validation: every exact case and every order of convergence, on both engines."""
