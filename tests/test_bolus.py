@@ -19,13 +19,17 @@ from lattice_gym.body.muscles import MuscleLayout, named_layout
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.base import Engine, Status
 from lattice_gym.engines.registry import EngineName, make_engine
-from lattice_gym.physics.assembly import Ball, Clamp, PointForce, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.energy import EnergyMeter, Ledger
+from lattice_gym.physics.laws.ball import Ball, Bolus
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.loads import PointForce
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.stable_step import SAFETY, default_dt, stable_dt
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Bolus, Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.gaits import gait
 from lattice_gym.tasks.transport import Transport

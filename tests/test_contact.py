@@ -19,14 +19,17 @@ from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.fused import kernels
 from lattice_gym.engines.fused.engine import FusedEngine
 from lattice_gym.engines.registry import EngineName, make_engine
-from lattice_gym.physics.assembly import Clamp, Joint, PointForce, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.energy import EnergyMeter
 from lattice_gym.physics.laws import contact
+from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.loads import PointForce
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.stable_step import DEEPEST, SAFETY, default_dt, stable_dt
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Contact, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 
 ROD: dict[str, Any] = {"radius": 0.01, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}

@@ -16,12 +16,17 @@ from lattice_gym.checks import FloatArray
 from lattice_gym.engines.base import Engine, Health, Status
 from lattice_gym.engines.registry import EngineName, make_engine
 from lattice_gym.envs.env import LatticeWormEnv
-from lattice_gym.physics.assembly import Clamp, Joint, Line, PointForce, PointTorque, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.energy import ENERGY_TOLERANCE, EnergyMeter, Flow, StoredEnergy, ledger
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.lines import Line
+from lattice_gym.physics.laws.loads import PointForce, PointTorque
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.verification.ground import incline, rest_penetration, sliding_block_by_direction
 from lattice_gym.verification.scene import Scene

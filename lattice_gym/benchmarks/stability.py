@@ -43,11 +43,15 @@ from lattice_gym.checks import FloatArray
 from lattice_gym.engines.registry import make_engine
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.activation import advance_activation
+from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.elasticity import MAX_DILATATION, MIN_DILATATION
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.measures import dilatation
-from lattice_gym.physics.rod import MAX_DILATATION, MIN_DILATATION
 from lattice_gym.physics.stable_step import stable_dt
-from lattice_gym.physics.world import Bolus, Contact, Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.recording.provenance import provenance
 

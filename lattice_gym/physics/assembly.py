@@ -16,10 +16,15 @@ from numbers import Integral
 import numpy as np
 
 from lattice_gym.checks import FloatArray, IntArray, finite_number, shown, whole_number
+from lattice_gym.physics.laws.ball import Ball
+from lattice_gym.physics.laws.contact import Contact
+from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.lines import Line
+from lattice_gym.physics.laws.loads import PointForce, PointTorque
 from lattice_gym.physics.rod import FRAME_TOLERANCE, Rod, array_of_shape, checked_size, node_radius, node_sums, require
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Contact, Ground
 
 
 def _parts(name: str, values: object, kind: type) -> None:
@@ -32,107 +37,12 @@ def _parts(name: str, values: object, kind: type) -> None:
 
 
 @dataclass(frozen=True)
-class Joint:
-    """Spherical joint: a spring [N/m] and a dashpot [N s/m] of zero rest length between two nodes."""
-
-    rod_a: int
-    node_a: int
-    rod_b: int
-    node_b: int
-    stiffness: float
-    damping: float = 0.0
-
-
-@dataclass(frozen=True)
-class Line:
-    """Muscle without nodes of its own: the tension and stretch of a straight rod between two nodes.
-
-    Its mass and its damping stand on its two ends, half on either.
-    """
-
-    rod_a: int
-    node_a: int
-    rod_b: int
-    node_b: int
-    rest_length: float
-    """[m]"""
-    stiffness: float
-    """E A [N]"""
-    mass: float = 0.0
-    """[kg]"""
-    damping: float = 0.0
-    """[N s/m]"""
-    density: float = math.inf
-    """What its mass has for a volume [kg/m^3]: a medium carries nothing of an infinitely dense one."""
-
-
-@dataclass(frozen=True)
 class Clamp:
     """A node held at its rest position, an element held at its rest orientation, or both."""
 
     rod: int
     node: int | None = None
     element: int | None = None
-
-
-@dataclass(frozen=True)
-class PointForce:
-    """Constant force on a node [N], in the laboratory frame."""
-
-    rod: int
-    node: int
-    force: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class PointTorque:
-    """Constant torque on an element [N m], in its material frame: it turns with the element."""
-
-    rod: int
-    element: int
-    torque: tuple[float, float, float]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Ball:
-    """Rigid uniform ball that pushes at elements of rods, each a cylinder of its rest radius with round ends.
-
-    Where it overlaps one by a depth, with u the velocity of its material at the nearest point of the centre line over
-    that of the line there, it pushes with N = max(0, stiffness depth - damping u_n) along the normal. Friction, at most
-    friction N, takes all slip u_t that everything else leaves at the end of a step, or acts against it in full:
-    Coulomb's law. Both act on the centre line: the lever rule shares them between its two nodes, and the ball has the
-    opposite force and its moment, so that momentum and angular momentum close; the rod is not twisted.
-    """
-
-    position: FloatArray
-    """Where its centre starts [m], shape (3,)."""
-    radius: float
-    """[m]"""
-    mass: float
-    """[kg]"""
-    stiffness: float
-    """Of the contact with an element [N/m]."""
-    damping: float = 0.0
-    """Of that contact, along the normal [N s/m]."""
-    friction: float = 0.0
-    """Friction over normal force."""
-    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Constant force, as its weight less what the medium carries [N]."""
-
-    def __post_init__(self) -> None:
-        for name in ("radius", "mass"):
-            object.__setattr__(self, name, checked_size(f"Ball.{name}", getattr(self, name), above=True))
-        for name in ("stiffness", "damping", "friction"):
-            object.__setattr__(self, name, checked_size(f"Ball.{name}", getattr(self, name), above=False))
-        object.__setattr__(self, "position", array_of_shape("Ball.position", self.position, (3,)))
-        object.__setattr__(self, "force", tuple(array_of_shape("Ball.force", self.force, (3,)).tolist()))
-        sound = self.inertia > 0.0 and math.isfinite(self.inertia) and math.isfinite(1.0 / self.inertia)
-        require(sound, "Ball.radius, mass: inertia leaves the range of numbers; they are far too large or too small")
-
-    @property
-    def inertia(self) -> float:
-        """Moment of inertia about any diameter [kg m^2]."""
-        return 0.4 * self.mass * self.radius**2
 
 
 PARTS: dict[str, type] = {

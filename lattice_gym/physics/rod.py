@@ -272,7 +272,3 @@ def straight_rod(
         damping=damping,
         rotational_damping=rotational_damping,
     )
-
-
-MIN_DILATATION, MAX_DILATATION = 0.1, 5.0
-"""Length over rest length outside which an element counts as over-stretched: linear elasticity ended long before."""

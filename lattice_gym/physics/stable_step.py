@@ -24,9 +24,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lattice_gym.checks import FloatArray, IntArray
-from lattice_gym.physics.assembly import Ball, Joint, Line, RodModel
+from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.laws.damping import Splitting, damping_shares
-from lattice_gym.physics.rod import MIN_DILATATION, rotation_between
+from lattice_gym.physics.laws.elasticity import MIN_DILATATION
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.lines import Line
+from lattice_gym.physics.rod import rotation_between
 
 SAFETY = 0.72
 """Share of the computed limit that `stable_dt` gives. Chosen on the report's grid and its random designs of seed 0."""

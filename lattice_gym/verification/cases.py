@@ -15,7 +15,9 @@ from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.base import Engine
-from lattice_gym.physics.assembly import Clamp, Joint, PointForce, PointTorque, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.loads import PointForce, PointTorque
 from lattice_gym.physics.rod import SHEAR_CORRECTION, Rod, rotation_between, straight_frames, straight_rod
 from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.state import RodState

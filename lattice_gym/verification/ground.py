@@ -14,9 +14,9 @@ import numpy as np
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.base import Engine
 from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.rod import Rod, straight_rod
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Ground
 from lattice_gym.verification.scene import Case, Reading, Scene, pass_time
 
 RHO, RADIUS, LENGTH = 1000.0, 0.1, 1.0

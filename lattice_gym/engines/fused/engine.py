@@ -14,7 +14,7 @@ from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
 from lattice_gym.physics.laws import contact
 from lattice_gym.physics.laws.damping import Splitting, damping_shares
-from lattice_gym.physics.rod import MAX_DILATATION
+from lattice_gym.physics.laws.elasticity import MAX_DILATATION
 from lattice_gym.physics.state import RodState
 
 _LARGEST_RATE = 300.0

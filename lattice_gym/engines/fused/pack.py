@@ -13,12 +13,15 @@ import numpy.typing as npt
 from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.base import Health, Status, joint_reach, overstretched, torn
 from lattice_gym.engines.fused import kernels
-from lattice_gym.physics.assembly import Joint, Line, RodModel
+from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.damping import Splitting, damping_shares
+from lattice_gym.physics.laws.elasticity import MAX_DILATATION, MIN_DILATATION
+from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
-from lattice_gym.physics.rod import MAX_DILATATION, MIN_DILATATION, Rod
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.lines import Line
+from lattice_gym.physics.rod import Rod
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Ground
 
 _CACHE_LINE = 64
 

@@ -29,13 +29,16 @@ from elastica.typing import ConnectionIndex, RigidBodyType, RodType
 
 from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.base import Engine, Health, Status, joint_reach, overstretched, torn
-from lattice_gym.physics.assembly import Ball, RodModel
+from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
 from lattice_gym.physics.laws import contact
+from lattice_gym.physics.laws.ball import Ball
+from lattice_gym.physics.laws.contact import Contact
+from lattice_gym.physics.laws.elasticity import MAX_DILATATION, MIN_DILATATION
+from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
-from lattice_gym.physics.rod import MAX_DILATATION, MIN_DILATATION, Rod
+from lattice_gym.physics.rod import Rod
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Contact, Ground
 
 _START = np.float64(0.0)
 _LARGEST_RATE = 300.0

@@ -18,10 +18,34 @@ lever. Once centre lines have crossed, the push is the other way: the law holds 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
 import numpy as np
 
-from lattice_gym.checks import FloatArray, IntArray
-from lattice_gym.physics.assembly import RodModel
+from lattice_gym.checks import Bounds, FloatArray, IntArray, Part
+
+if TYPE_CHECKING:
+    from lattice_gym.physics.assembly import RodModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact(Part):
+    """Rods push at each other where they come to overlap, without friction.
+
+    Muscles touch nothing, a rod does not touch itself, and where rods cross they are joined: elements that are near
+    each other at rest there never touch (`contact.MARGIN`). So it acts on the default worm only beyond the strength of
+    its muscles. Where those that compress it pull with 3 N, six times their strength, the defaults keep what may touch
+    nineteen twentieths of its radii apart.
+    """
+
+    bounds: ClassVar[Bounds] = {"stiffness": (1e-6, 1e9, "N/m"), "damping": (0.0, 1e6, "N s/m")}
+
+    stiffness: float = 300.0
+    """Of the contact of two elements [N/m]."""
+    damping: float = 0.05
+    """Of that contact, along the normal [N s/m]."""
+
 
 PARALLEL = 1e-12
 """Square of the sine of the angle between two elements below which they touch in the middle of where they run along
@@ -37,10 +61,8 @@ and how much that stiffens it is a matter of the mesh. As whole elements are lef
 press each other: by where beyond a crossing the first element begins. No round number: elements often lie at simple
 multiples of a radius, and rounding would then decide which of them touch.
 """
-
 _ROUNDING = 1e-9
 """Depth of overlap over the radii that counts as none at rest."""
-
 _AT_A_TIME = 100_000
 """Pairs that are tried together: some tens of megabytes."""
 
