@@ -24,8 +24,9 @@ from lattice_gym.physics.laws.hill import Hill
 from lattice_gym.physics.laws.joints import Joint
 from lattice_gym.physics.laws.lines import Line
 from lattice_gym.physics.laws.medium import Medium
+from lattice_gym.physics.laws.muscles import contraction
 from lattice_gym.physics.rod import straight_rod
-from lattice_gym.physics.stable_step import DT_MARGIN, SAFETY, _largest_eigenvalue, contraction, default_dt, stable_dt
+from lattice_gym.physics.stable_step import DT_MARGIN, SAFETY, _largest_eigenvalue, default_dt, stable_dt
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
