@@ -129,6 +129,9 @@ class Rod:
         vars(rod).update(kept)
         return rod
 
+    def __repr__(self) -> str:
+        return f"Rod({self.n_elem} elements, length {self.rest_length.sum():.6g} m)"
+
     @property
     def n_elem(self) -> int:
         """Number of elements."""

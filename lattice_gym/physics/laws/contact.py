@@ -90,7 +90,8 @@ class ContactLaw(Law):
 
     @cached_property
     def _contact(self) -> Contact:
-        return self.model.contact or Contact()
+        assert self.model.contact is not None
+        return self.model.contact
 
     @cached_property
     def _excluded(self) -> IntArray:

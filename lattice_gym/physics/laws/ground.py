@@ -117,7 +117,8 @@ class GroundLaw(Law):
 
     @cached_property
     def _ground(self) -> Ground:
-        return self.model.ground or Ground()
+        assert self.model.ground is not None
+        return self.model.ground
 
     def check(self) -> None:
         """Refuse friction by direction where rods' ends cancel out: of them the body axis is made."""

@@ -106,7 +106,8 @@ class HillLaw(Law):
 
     @cached_property
     def _hill(self) -> Hill:
-        return self.model.hill or Hill()
+        assert self.model.hill is not None
+        return self.model.hill
 
     @cached_property
     def _strands(self) -> Strands:
