@@ -15,8 +15,12 @@ from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.goal import LatticeWormGoalEnv
 from lattice_gym.envs.vector import LatticeWormGoalVectorEnv, LatticeWormVectorEnv
 from lattice_gym.physics.laws.adaptation import Adaptation
+from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.contact import Contact
+from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
-from lattice_gym.physics.world import Bolus, Contact, Ground, Medium, World
+from lattice_gym.physics.laws.medium import Medium
+from lattice_gym.physics.world import World
 from lattice_gym.tasks.gaits import gait, grouped
 
 __all__ = [

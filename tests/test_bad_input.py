@@ -49,13 +49,20 @@ from lattice_gym.body.muscles import (
 from lattice_gym.checks import Part
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.envs.env import LatticeWormEnv
-from lattice_gym.physics.assembly import Clamp, Joint, Line, PointForce, PointTorque, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.laws.activation import advance_activation
 from lattice_gym.physics.laws.adaptation import Adaptation
+from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.contact import Contact
+from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.lines import Line
+from lattice_gym.physics.laws.loads import PointForce, PointTorque
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.measures import travelling_wave
 from lattice_gym.physics.rod import Rod, straight_rod
-from lattice_gym.physics.world import Bolus, Contact, Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.recording.trajectory import Recorder, Trajectory
 from lattice_gym.tasks.gaits import gait

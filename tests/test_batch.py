@@ -22,11 +22,16 @@ from lattice_gym.engines.fused.pack import Pack
 from lattice_gym.engines.health import Status
 from lattice_gym.engines.registry import make_engine
 from lattice_gym.engines.simulation import Simulation, simulate
-from lattice_gym.physics.assembly import PointTorque, RodModel
+from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.laws.loads import PointTorque
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Bolus, Contact, Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 
 FIELDS = ("position", "velocity", "directors", "omega", "bolus_position", "bolus_velocity", "bolus_omega")

@@ -20,13 +20,17 @@ from lattice_gym.checks import FloatArray
 from lattice_gym.engines.health import Status
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import Simulation, simulate
-from lattice_gym.physics.assembly import Ball, Clamp, PointForce, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.energy import EnergyMeter, Ledger
+from lattice_gym.physics.laws.ball import Ball, Bolus
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.loads import PointForce
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.stable_step import SAFETY, default_dt, stable_dt
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Bolus, Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.gaits import gait
 from lattice_gym.tasks.transport import Transport
@@ -189,7 +193,7 @@ def test_friction_feeds_nothing(engine_name: EngineName, friction: float) -> Non
         engine.restore(start)
         assert engine.advance([], 1).ok
         stored = EnergyMeter(one).stored(engine.state)
-        left.append(float(stored.translation.sum() + stored.bolus.sum()))
+        left.append(float(stored.parts["translation"].sum() + stored.parts["bolus"].sum()))
         # The rods' own discrete law keeps angular momentum to the order of the step.
         assert np.abs(momenta(one, engine.state) - momenta(one, start)).max() < 1e-10
     assert left[0] < left[1] - 1e-4
@@ -385,9 +389,9 @@ def test_energy_by_hand() -> None:
     model = RodModel(**rails(0.0), bolus=ball(REACH - 0.003, mass=2.0))
     state = replace(thrown(model, (1.0, 2.0, 0.0)), bolus_omega=np.array([[0.0, 0.0, 3.0]]))
     stored = EnergyMeter(model).stored(state)
-    assert stored.bolus == pytest.approx([0.5 * 2.0 * 5.0 + 0.5 * 0.4 * 2.0 * RADIUS**2 * 9.0])
-    assert stored.contact == pytest.approx([0.0, 0.5 * 1e4 * 0.003**2], abs=1e-15)
-    assert stored.total == pytest.approx(stored.bolus[0] + stored.contact[1])
+    assert stored.parts["bolus"] == pytest.approx([0.5 * 2.0 * 5.0 + 0.5 * 0.4 * 2.0 * RADIUS**2 * 9.0])
+    assert stored.parts["bolus_contact"] == pytest.approx([0.0, 0.5 * 1e4 * 0.003**2], abs=1e-15)
+    assert stored.total == pytest.approx(stored.parts["bolus"][0] + stored.parts["bolus_contact"][1])
 
 
 def test_the_ledger_balances(engine_name: EngineName) -> None:

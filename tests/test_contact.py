@@ -21,14 +21,17 @@ from lattice_gym.engines.fused.engine import FusedAssembly, FusedEngine
 from lattice_gym.engines.pyelastica.contact import touchable_pairs
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import Simulation, simulate
-from lattice_gym.physics.assembly import Clamp, Joint, PointForce, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.energy import EnergyMeter
 from lattice_gym.physics.laws import contact
+from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.loads import PointForce
 from lattice_gym.physics.rod import straight_rod
-from lattice_gym.physics.stable_step import DEEPEST, SAFETY, default_dt, stable_dt
+from lattice_gym.physics.stable_step import SAFETY, default_dt, stable_dt
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Contact, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 
 ROD: dict[str, Any] = {"radius": 0.01, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}
@@ -441,8 +444,8 @@ def test_energy_by_hand() -> None:
     model = crossing(1e-3)
     stored = EnergyMeter(model).stored(moved(model, 1, (0.0, 0.0, -0.004)))
     half = 0.25 * 1e3 * 0.003**2
-    assert stored.self_contact == pytest.approx([0.0, half, 0.0, 0.0, half, 0.0], abs=1e-15)
-    assert len(EnergyMeter(crossing(1e-3, contact=None)).stored(model.rest_state()).self_contact) == 0
+    assert stored.parts["contact"] == pytest.approx([0.0, half, 0.0, 0.0, half, 0.0], abs=1e-15)
+    assert "contact" not in EnergyMeter(crossing(1e-3, contact=None)).stored(model.rest_state()).parts
 
 
 def test_the_ledger_balances(engine_name: EngineName) -> None:
@@ -509,7 +512,7 @@ def test_never_above_the_measured_limit(damping: float, splitting: Splitting) ->
 
 def beside(n_elem: int) -> tuple[RodModel, RodState]:
     """Three soft parallel rods pressed into each other by a tenth of the reach, and their state of balance."""
-    length, height, depth = 0.4, 0.1 + 1e-8, DEEPEST * 2.0 * SOFT["radius"]
+    length, height, depth = 0.4, 0.1 + 1e-8, contact.DEEPEST * 2.0 * SOFT["radius"]
     rods = tuple(straight_rod((0.0, 0.0, k * height), (length, 0.0, k * height), n_elem, **SOFT) for k in range(3))
     law = Contact(stiffness=1e4, damping=0.0)
     model = RodModel(rods=rods, contact=law)

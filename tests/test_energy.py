@@ -16,12 +16,17 @@ from lattice_gym.engines.health import Health, Status
 from lattice_gym.engines.registry import ENGINES, EngineName
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.envs.env import LatticeWormEnv
-from lattice_gym.physics.assembly import Clamp, Joint, Line, PointForce, PointTorque, RodModel
-from lattice_gym.physics.energy import ENERGY_TOLERANCE, EnergyMeter, Flow, StoredEnergy, ledger
+from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.energy import ENERGY_TOLERANCE, EnergyMeter, Flow, ledger
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.lines import Line
+from lattice_gym.physics.laws.loads import PointForce, PointTorque
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.verification.case import Case
 from lattice_gym.verification.ground import incline, rest_penetration, sliding_block_by_direction
@@ -44,8 +49,8 @@ def test_stretch_is_the_integral_of_the_force(strain: float) -> None:
     node, weight = np.polynomial.legendre.leggauss(40)
     share = 0.5 * strain * (node + 1.0)
     integral = 0.5 * strain * float(weight @ (share / (1.0 + share)))
-    np.testing.assert_allclose(stored.stretch, rod.stretch_stiffness * integral, rtol=1e-9)
-    np.testing.assert_allclose(stored.line, 7.0 * 2.0 * integral, rtol=1e-9)
+    np.testing.assert_allclose(stored.parts["stretch"], rod.stretch_stiffness * integral, rtol=1e-9)
+    np.testing.assert_allclose(stored.parts["line"], 7.0 * 2.0 * integral, rtol=1e-9)
 
 
 def test_every_part_has_its_formula() -> None:
@@ -61,13 +66,13 @@ def test_every_part_has_its_formula() -> None:
         rest, directors=directors, velocity=rest.velocity + 2.0, omega=rest.omega + np.array([1.0, 2.0, 3.0])
     )
     stored = EnergyMeter(model).stored(state)
-    np.testing.assert_allclose(stored.translation, 6.0 * model.node_mass)
-    np.testing.assert_allclose(stored.rotation, np.tile(0.5 * rods[0].inertia * (1 + 4 + 18), 2))
-    np.testing.assert_allclose(stored.bend, [0.5 * rods[0].bend_stiffness[0] * angle**2 / 0.5, 0.0], atol=1e-12)
-    np.testing.assert_allclose(stored.joint, [4.0])
-    assert stored.total == pytest.approx(
-        sum(float(getattr(stored, name).sum()) for name in StoredEnergy.__annotations__)
+    np.testing.assert_allclose(stored.parts["translation"], 6.0 * model.node_mass)
+    np.testing.assert_allclose(stored.parts["rotation"], np.tile(0.5 * rods[0].inertia * (1 + 4 + 18), 2))
+    np.testing.assert_allclose(
+        stored.parts["bend"], [0.5 * rods[0].bend_stiffness[0] * angle**2 / 0.5, 0.0], atol=1e-12
     )
+    np.testing.assert_allclose(stored.parts["joint"], [4.0])
+    assert stored.total == pytest.approx(sum(float(part.sum()) for part in stored.parts.values()))
 
 
 def test_weight_and_ground_have_their_formulas() -> None:
@@ -78,10 +83,10 @@ def test_weight_and_ground_have_their_formulas() -> None:
     )  # fmt: skip
     stored = EnergyMeter(model).stored(_moved(model.rest_state(), np.array([[3, 1, 0.3], [0, 0, 0], [0, 0, -0.1]])))
     weight = 0.75 * 2.0 * model.node_mass
-    np.testing.assert_allclose(stored.weight, weight * [0.3, 0.0, -0.1])
-    np.testing.assert_allclose(stored.ground, [0.0, 0.0, 0.04], atol=1e-15)
+    np.testing.assert_allclose(stored.parts["weight"], weight * [0.3, 0.0, -0.1])
+    np.testing.assert_allclose(stored.parts["ground"], [0.0, 0.0, 0.04], atol=1e-15)
     air = EnergyMeter(replace(model, gravity=None, ground=None)).stored(model.rest_state())
-    assert air.weight.size == air.ground.size == 0
+    assert not {"weight", "ground"} & air.parts.keys()
 
 
 @pytest.mark.parametrize("case", [sliding_block_by_direction, incline, rest_penetration], ids=lambda case: case.name)
@@ -251,7 +256,10 @@ def test_dissipation_is_what_motion_loses(splitting: Splitting) -> None:
         engine.restore(first)
         engine.advance([], 1)
         before, after = meter.stored(first), meter.stored(engine.state)
-        lost = float((before.translation - after.translation).sum() + (before.rotation - after.rotation).sum())
+        lost = float(
+            (before.parts["translation"] - after.parts["translation"]).sum()
+            + (before.parts["rotation"] - after.parts["rotation"]).sum()
+        )
         entry = engine.ledger
         assert entry is not None
         assert lost > 0.0

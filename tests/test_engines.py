@@ -26,12 +26,18 @@ from lattice_gym.engines.health import Health, Status
 from lattice_gym.engines.registry import EngineName, make_engine
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.engines.step_doubling import STEP_TOLERANCE
-from lattice_gym.physics.assembly import Ball, Clamp, Joint, Line, PointForce, PointTorque, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.lines import Line
+from lattice_gym.physics.laws.loads import PointForce, PointTorque
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.rod import rotation_between, straight_rod
 from lattice_gym.physics.stable_step import default_dt, stable_dt
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 
 FIELDS = ("position", "velocity", "directors", "omega")

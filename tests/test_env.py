@@ -38,11 +38,14 @@ from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.envs.goal import LatticeWormGoalEnv
 from lattice_gym.envs.observation import OBSERVATION_BOUND
 from lattice_gym.physics.laws.activation import advance_activation
+from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.elasticity import MAX_DILATATION
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.measures import muscle_lengths, site_positions
-from lattice_gym.physics.rod import MAX_DILATATION
 from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.state import Motion
-from lattice_gym.physics.world import Bolus, Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.recording.trajectory import Recorder
 from lattice_gym.tasks.base import EFFORT_WEIGHT
 from lattice_gym.tasks.peristalsis import Peristalsis

@@ -15,11 +15,14 @@ from lattice_gym.checks import FloatArray
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.envs.env import LatticeWormEnv
-from lattice_gym.physics.assembly import PointForce, RodModel
+from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.activation import advance_activation
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.loads import PointForce
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.gaits import gait
 

@@ -16,8 +16,10 @@ from lattice_gym.checks import FloatArray
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.envs.env import LatticeWormEnv
-from lattice_gym.physics.assembly import Clamp, Line, PointForce, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.laws.lines import Line
+from lattice_gym.physics.laws.loads import PointForce
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.stable_step import default_dt, stable_dt
 from lattice_gym.physics.worm import build_model

@@ -11,7 +11,8 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.physics.assembly import Joint, RodModel
+from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.joints import Joint
 from lattice_gym.physics.measures import (
     base_frame,
     bend_angle,

@@ -13,9 +13,15 @@ from hypothesis import strategies as st
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.physics.assembly import Clamp, Joint, Line, PointForce, PointTorque, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.lines import Line
+from lattice_gym.physics.laws.loads import PointForce, PointTorque
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.rod import Rod, rotation_between, straight_frames, straight_rod
-from lattice_gym.physics.world import Bolus, Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 
 STEEL: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}

@@ -1,4 +1,4 @@
-"""Layouts, groups and activation against counts and closed forms worked out by hand."""
+"""Layouts and groups against counts and closed forms worked out by hand."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ from lattice_gym.body.muscles import (
     vertical,
 )
 from lattice_gym.checks import TURN, FloatArray, IntArray, wrap_angle
-from lattice_gym.physics.laws.activation import advance_activation
 
 LATTICE = build_lattice(LatticeDesign())
 UNEVEN = build_lattice(LatticeDesign(n_pairs=3, phases=(0.0, 1.0, 3.0) * 2, period_ratio=2.0))
@@ -374,70 +373,3 @@ def test_partition() -> None:
     for control in wrong:
         with pytest.raises(ValueError, match="control"):
             control_groups(control, layout, LATTICE)
-
-
-@given(
-    activation=st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3),
-    command=st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3),
-    duration=st.floats(0.0, 0.2),
-    rise_time=st.floats(0.005, 0.1),
-    decay_time=st.floats(0.005, 0.1),
-)
-@settings(max_examples=50, deadline=None)
-def test_activation_solves_its_equation(
-    activation: list[float], command: list[float], duration: float, rise_time: float, decay_time: float
-) -> None:
-    """Against Runge-Kutta in small steps; in two parts as in one; and never past the command."""
-    start, target = np.array(activation), np.array(command)
-    exact = advance_activation(start, target, duration, rise_time, decay_time)
-
-    def slope(value: FloatArray) -> FloatArray:
-        return (target - value) / np.where(target > value, rise_time, decay_time)
-
-    value, step = start, duration / 400
-    for _ in range(400):
-        one = slope(value)
-        two = slope(value + step / 2 * one)
-        three = slope(value + step / 2 * two)
-        value = value + step / 6 * (one + 2 * two + 2 * three + slope(value + step * three))
-    np.testing.assert_allclose(exact, value, atol=1e-7)
-    half = advance_activation(start, target, duration / 2, rise_time, decay_time)
-    again = advance_activation(half, target, duration / 2, rise_time, decay_time)
-    np.testing.assert_allclose(again, exact, atol=1e-14)
-    assert np.all(np.where(target > start, exact <= target, exact >= target))
-    assert np.all((exact >= np.minimum(start, target) - 1e-15) & (exact <= np.maximum(start, target) + 1e-15))
-    assert np.all((exact >= 0.0) & (exact <= 1.0))
-
-
-def test_activation_time_constants() -> None:
-    """After one time constant 1 - 1/e is done: the rise time on the way up, the decay time on the way down."""
-    up = advance_activation(np.array([0.0]), np.array([1.0]), 0.015, 0.015, 0.05)
-    down = advance_activation(np.array([1.0]), np.array([0.0]), 0.05, 0.015, 0.05)
-    np.testing.assert_allclose([up[0], down[0]], [1 - math.exp(-1), math.exp(-1)], rtol=1e-15)
-
-
-def test_activation_input_is_left_alone() -> None:
-    """A new array comes back, even for no time at all."""
-    start = np.array([0.25, 0.5])
-    result = advance_activation(start, np.array([1.0, 0.0]), 0.0, 0.015, 0.05)
-    np.testing.assert_array_equal(result, start)
-    assert not np.shares_memory(result, start)
-
-
-@pytest.mark.parametrize(
-    ("values", "named"),
-    [
-        ({"activation": np.array([math.nan])}, "activation: must be finite"),
-        ({"command": np.array([math.inf])}, "command: must be finite"),
-        ({"command": np.zeros(2)}, r"command has shape \(2,\)"),
-        ({"duration": -1.0}, "duration = -1.0"),
-        ({"duration": math.nan}, "duration = nan"),
-        ({"rise_time": 0.0}, "rise_time = 0.0"),
-        ({"decay_time": math.inf}, "decay_time = inf"),
-    ],
-)
-def test_activation_is_checked(values: dict[str, Any], named: str) -> None:
-    """Nothing that is not a number gets through to a tension."""
-    good: dict[str, Any] = {"activation": np.zeros(1), "command": np.ones(1), "duration": 0.1}
-    with pytest.raises(ValueError, match=named):
-        advance_activation(**{**good, "rise_time": 0.015, "decay_time": 0.05, **values})

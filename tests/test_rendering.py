@@ -25,8 +25,9 @@ from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout, tie
 from lattice_gym.checks import FloatArray
 from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.ball import Bolus
 from lattice_gym.physics.rod import straight_rod
-from lattice_gym.physics.world import Bolus, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.recording.trajectory import Recorder, Trajectory
 from lattice_gym.rendering import scene, shapes, video

@@ -20,13 +20,18 @@ from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.simulation import simulate
-from lattice_gym.physics.assembly import Clamp, Joint, Line, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.lines import Line
+from lattice_gym.physics.laws.medium import Medium
+from lattice_gym.physics.laws.muscles import contraction
 from lattice_gym.physics.rod import straight_rod
-from lattice_gym.physics.stable_step import DT_MARGIN, SAFETY, _largest_eigenvalue, contraction, default_dt, stable_dt
+from lattice_gym.physics.stable_step import DT_MARGIN, SAFETY, _largest_eigenvalue, default_dt, stable_dt
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 
 STEEL: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}

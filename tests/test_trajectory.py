@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import MuscleLayout, horizontal, named_layout, tie
-from lattice_gym.physics.world import Bolus, World
+from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.recording.files import replacing
 from lattice_gym.recording.trajectory import Recorder, Trajectory, n_nodes

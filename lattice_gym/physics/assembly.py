@@ -6,64 +6,28 @@ cantilever, a free rod or two joined rods are built from the same parts.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from numbers import Integral
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray, IntArray, finite_number, shown, whole_number
-from lattice_gym.physics.laws.hill import Hill
-from lattice_gym.physics.rod import FRAME_TOLERANCE, Rod, array_of_shape, checked_size, node_radius, node_sums, require
+from lattice_gym.checks import FloatArray, IntArray, shown, whole_number
+from lattice_gym.physics.laws.ball import Ball, BallLaw
+from lattice_gym.physics.laws.base import Law, tuple_of
+from lattice_gym.physics.laws.contact import Contact, ContactLaw
+from lattice_gym.physics.laws.damping import DampingLaw
+from lattice_gym.physics.laws.elasticity import ElasticityLaw
+from lattice_gym.physics.laws.ground import Ground, GroundLaw
+from lattice_gym.physics.laws.hill import Hill, HillLaw
+from lattice_gym.physics.laws.joints import Joint, JointLaw
+from lattice_gym.physics.laws.lines import Line, LineLaw
+from lattice_gym.physics.laws.loads import LoadLaw, PointForce, PointTorque
+from lattice_gym.physics.laws.medium import MediumLaw
+from lattice_gym.physics.laws.muscles import MuscleLaw
+from lattice_gym.physics.rod import FRAME_TOLERANCE, Rod, node_radius, node_sums, require
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Contact, Ground
-
-
-def _parts(name: str, values: object, kind: type) -> None:
-    """Refuse what is no tuple (or list) of a kind of part."""
-    if not isinstance(values, tuple | list):
-        raise ValueError(f"{name} = {shown(values)}: must be a tuple of {kind.__name__}")
-    for k, value in enumerate(values):
-        if not isinstance(value, kind) or isinstance(value, bool):
-            raise ValueError(f"{name}[{k}] = {shown(value)}: must be {kind.__name__}")
-
-
-@dataclass(frozen=True)
-class Joint:
-    """Spherical joint: a spring [N/m] and a dashpot [N s/m] of zero rest length between two nodes."""
-
-    rod_a: int
-    node_a: int
-    rod_b: int
-    node_b: int
-    stiffness: float
-    damping: float = 0.0
-
-
-@dataclass(frozen=True)
-class Line:
-    """Muscle without nodes of its own: the tension and stretch of a straight rod between two nodes.
-
-    Its mass and its damping stand on its two ends, half on either.
-    """
-
-    rod_a: int
-    node_a: int
-    rod_b: int
-    node_b: int
-    rest_length: float
-    """[m]"""
-    stiffness: float
-    """E A [N]"""
-    mass: float = 0.0
-    """[kg]"""
-    damping: float = 0.0
-    """[N s/m]"""
-    density: float = math.inf
-    """What its mass has for a volume [kg/m^3]: a medium carries nothing of an infinitely dense one."""
 
 
 @dataclass(frozen=True)
@@ -72,84 +36,32 @@ class Clamp:
 
     rod: int
     node: int | None = None
+    """None: no node."""
     element: int | None = None
+    """None: no element."""
 
 
-@dataclass(frozen=True)
-class PointForce:
-    """Constant force on a node [N], in the laboratory frame."""
-
-    rod: int
-    node: int
-    force: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class PointTorque:
-    """Constant torque on an element [N m], in its material frame: it turns with the element."""
-
-    rod: int
-    element: int
-    torque: tuple[float, float, float]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Ball:
-    """Rigid uniform ball that pushes at elements of rods, each a cylinder of its rest radius with round ends.
-
-    Where it overlaps one by a depth, with u the velocity of its material at the nearest point of the centre line over
-    that of the line there, it pushes with N = max(0, stiffness depth - damping u_n) along the normal. Friction, at most
-    friction N, takes all slip u_t that everything else leaves at the end of a step, or acts against it in full:
-    Coulomb's law. Both act on the centre line: the lever rule shares them between its two nodes, and the ball has the
-    opposite force and its moment, so that momentum and angular momentum close; the rod is not twisted.
-    """
-
-    position: FloatArray
-    """Where its centre starts [m], shape (3,)."""
-    radius: float
-    """[m]"""
-    mass: float
-    """[kg]"""
-    stiffness: float
-    """Of the contact with an element [N/m]."""
-    damping: float = 0.0
-    """Of that contact, along the normal [N s/m]."""
-    friction: float = 0.0
-    """Friction over normal force."""
-    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Constant force, as its weight less what the medium carries [N]."""
-
-    def __post_init__(self) -> None:
-        for name in ("radius", "mass"):
-            object.__setattr__(self, name, checked_size(f"Ball.{name}", getattr(self, name), above=True))
-        for name in ("stiffness", "damping", "friction"):
-            object.__setattr__(self, name, checked_size(f"Ball.{name}", getattr(self, name), above=False))
-        object.__setattr__(self, "position", array_of_shape("Ball.position", self.position, (3,)))
-        object.__setattr__(self, "force", tuple(array_of_shape("Ball.force", self.force, (3,)).tolist()))
-        sound = self.inertia > 0.0 and math.isfinite(self.inertia) and math.isfinite(1.0 / self.inertia)
-        require(sound, "Ball.radius, mass: inertia leaves the range of numbers; they are far too large or too small")
-
-    @property
-    def inertia(self) -> float:
-        """Moment of inertia about any diameter [kg m^2]."""
-        return 0.4 * self.mass * self.radius**2
-
-
-PARTS: dict[str, type] = {
-    "rods": Rod,
-    "joints": Joint,
-    "clamps": Clamp,
-    "forces": PointForce,
-    "torques": PointTorque,
-    "muscles": Integral,
-    "lines": Line,
-}
-"""What each field of a `RodModel` holds."""
+LAWS: tuple[type[Law], ...] = (
+    ElasticityLaw,
+    JointLaw,
+    MuscleLaw,
+    LineLaw,
+    HillLaw,
+    MediumLaw,
+    LoadLaw,
+    GroundLaw,
+    BallLaw,
+    ContactLaw,
+    DampingLaw,
+)
+"""Every law between two control steps. Forces of one instant first; damping follows the kick."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RodModel:
     """An assembly of rods. Arrays over all nodes (elements) hold the rods one after another.
+
+    Each law takes and checks the fields that are its own, see `laws.base.Law`.
 
     Raises
     ------
@@ -160,15 +72,21 @@ class RodModel:
     """
 
     rods: tuple[Rod, ...]
+    """At least one."""
     joints: tuple[Joint, ...] = ()
+    """Pairs of nodes that springs hold together."""
     clamps: tuple[Clamp, ...] = ()
+    """Nodes and elements that do not move."""
     forces: tuple[PointForce, ...] = ()
+    """Constant forces on nodes [N]."""
     torques: tuple[PointTorque, ...] = ()
+    """Constant torques on elements [N m]."""
     muscles: tuple[int, ...] = ()
     """Rods that contract, in the order of the tensions."""
     lines: tuple[Line, ...] = ()
     """Muscles without nodes; their tensions follow those of `muscles`."""
     bolus: Ball | None = None
+    """Rigid ball that pushes at rods; None is none."""
     gravity: FloatArray | None = None
     """[m/s^2], shape (3,); None is none."""
     medium_density: float = 0.0
@@ -178,93 +96,48 @@ class RodModel:
     ground: Ground | None = None
     """Plane z = 0 that bears every node at its `node_radius`, with friction on the centre line; None is none."""
     hill: Hill | None = None
-    """How the force of all muscles depends on their length and speed."""
+    """How the force of all muscles depends on their length and speed; None: it is their tension."""
     contact: Contact | None = None
-    """How rods that are no muscles push at each other, see `contact`; None: they go through each other."""
+    """How rods that are no muscles push at each other; None: they go through each other."""
 
     def __post_init__(self) -> None:
-        for name, kind in PARTS.items():
-            _parts(name, getattr(self, name), kind)
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+        for fields in ({"rods": tuple_of(Rod), "clamps": tuple_of(Clamp)}, *(law.fields for law in LAWS)):
+            for name, take in fields.items():
+                object.__setattr__(self, name, take(name, getattr(self, name)))
         require(len(self.rods) > 0, "rods: at least one is needed")
-        object.__setattr__(self, "hill", Hill.resolve("hill", self.hill))
-        for k, joint in enumerate(self.joints):
-            self._check_index(f"joints[{k}]", joint.rod_a, joint.node_a, extra=1)
-            self._check_index(f"joints[{k}]", joint.rod_b, joint.node_b, extra=1)
-            same = (joint.rod_a, joint.node_a) == (joint.rod_b, joint.node_b)
-            require(not same, f"joints[{k}]: joins a node with itself")
-            for name in ("stiffness", "damping"):
-                checked_size(f"joints[{k}].{name}", getattr(joint, name), above=False)
-        for k, line in enumerate(self.lines):
-            self._check_index(f"lines[{k}]", line.rod_a, line.node_a, extra=1)
-            self._check_index(f"lines[{k}]", line.rod_b, line.node_b, extra=1)
-            for name in ("rest_length", "stiffness", "mass", "damping"):
-                checked_size(f"lines[{k}].{name}", getattr(line, name), above=name == "rest_length")
-            if not (isinstance(line.density, float) and line.density == math.inf):
-                checked_size(f"lines[{k}].density", line.density, above=True)
-            stiff = finite_number(float(line.stiffness) / float(line.rest_length)) is not None
-            require(stiff, f"lines[{k}].rest_length = {line.rest_length}: far too short for its stiffness")
-            self._check_direction(f"lines[{k}]", line)
         for k, clamp in enumerate(self.clamps):
             held = clamp.node is not None or clamp.element is not None
             require(held, f"clamps[{k}]: holds neither node nor element")
-            self._check_index(f"clamps[{k}]", clamp.rod, 0 if clamp.node is None else clamp.node, extra=1)
-            self._check_index(f"clamps[{k}]", clamp.rod, 0 if clamp.element is None else clamp.element, extra=0)
-        for k, force in enumerate(self.forces):
-            self._check_index(f"forces[{k}]", force.rod, force.node, extra=1)
-            array_of_shape(f"forces[{k}].force", force.force, (3,))
-        for k, torque in enumerate(self.torques):
-            self._check_index(f"torques[{k}]", torque.rod, torque.element, extra=0)
-            array_of_shape(f"torques[{k}].torque", torque.torque, (3,))
-        for k, rod in enumerate(self.muscles):
-            self._check_index(f"muscles[{k}]", rod, 0, extra=0)
-        require(len(set(self.muscles)) == len(self.muscles), "muscles: a rod is named twice")
-        known = self.bolus is None or isinstance(self.bolus, Ball)
-        require(known, f"bolus = {shown(self.bolus)}: must be Ball or None")
-        self._check_world()
-
-    def _check_world(self) -> None:
-        """Refuse a medium or ground that is none, and weights or drags beyond the range of numbers."""
-        if self.gravity is not None:
-            object.__setattr__(self, "gravity", array_of_shape("gravity", self.gravity, (3,)))
-        for name in ("medium_density", "medium_drag"):
-            object.__setattr__(self, name, checked_size(name, getattr(self, name), above=False))
-        if self.ground is not None and not isinstance(self.ground, Ground):
-            raise ValueError(f"ground = {shown(self.ground)}: must be Ground or None")
-        if self.ground is not None and not self.ground.isotropic:
-            self._check_axis()
-        if self.contact is not None and not isinstance(self.contact, Contact):
-            raise ValueError(f"contact = {shown(self.contact)}: must be Contact or None")
+            self.check_node(f"clamps[{k}]", clamp.rod, 0 if clamp.node is None else clamp.node)
+            self.check_element(f"clamps[{k}]", clamp.rod, 0 if clamp.element is None else clamp.element)
         with np.errstate(all="ignore"):
-            require(bool(np.isfinite(self.node_weight).all()), "gravity, medium_density: far too large for these rods")
-            require(bool(np.isfinite(self.node_damping).all()), "medium_drag: far too large for these rods")
+            for law in LAWS:
+                if law.present(self):
+                    law(self).check()
 
-    def _check_axis(self) -> None:
-        """Refuse rods whose ends cancel out: what a body axis is made of."""
-        place = np.concatenate([rod.position for rod in self.rods])
-        tail, head = self.rod_ends
-        with np.errstate(all="ignore"):
-            chord = place[head] - place[tail]
-            length, most = float(np.linalg.norm(chord.sum(axis=0))), float(np.linalg.norm(chord, axis=1).sum())
-        require(
-            FRAME_TOLERANCE * most < length < math.inf,
-            "ground: where friction differs by direction, rods that are no muscles must have a mean way, end to end",
-        )
+    def __repr__(self) -> str:
+        counts = f"{self.n_rod} rods, {self.n_node} nodes, {self.n_muscle} muscles, {len(self.joints)} joints"
+        return f"RodModel({counts}; {', '.join(type(law).__name__ for law in self.laws)})"
 
-    def _check_index(self, name: str, rod: int, index: int, *, extra: int) -> None:
+    @cached_property
+    def laws(self) -> tuple[Law, ...]:
+        """The laws that it obeys, in the order of `LAWS`."""
+        return tuple(law(self) for law in LAWS if law.present(self))
+
+    def check_node(self, name: str, rod: int, node: int) -> None:
+        """Raise ValueError of a name unless a rod has a node."""
+        self._check_index(name, rod, node, "nodes", extra=1)
+
+    def check_element(self, name: str, rod: int, element: int) -> None:
+        """Raise ValueError of a name unless a rod has an element."""
+        self._check_index(name, rod, element, "elements", extra=0)
+
+    def _check_index(self, name: str, rod: int, index: int, part: str, extra: int) -> None:
         if whole_number(rod) is None or not 0 <= rod < len(self.rods):
             raise ValueError(f"{name}: there is no rod {shown(rod)}")
-        count, part = self.rods[rod].n_elem + extra, "nodes" if extra else "elements"
+        count = self.rods[rod].n_elem + extra
         if whole_number(index) is None or not 0 <= index < count:
             raise ValueError(f"{name}: rod {rod} has {count} {part}, no number {shown(index)}")
-
-    def _check_direction(self, name: str, line: Line) -> None:
-        """Refuse a line whose direction at rest is lost in rounding."""
-        a, b = self.rods[line.rod_a].position[line.node_a], self.rods[line.rod_b].position[line.node_b]
-        with np.errstate(all="ignore"):
-            length = math.sqrt(np.sum((b - a) ** 2))
-        apart = FRAME_TOLERANCE * float(line.rest_length) < length < math.inf
-        require(apart, f"{name}: its two ends lie at one place at rest, or too far apart")
 
     @property
     def n_rod(self) -> int:
@@ -277,9 +150,14 @@ class RodModel:
         return len(self.muscles) + len(self.lines)
 
     @property
+    def balls(self) -> tuple[Ball, ...]:
+        """The ball, or none."""
+        return () if self.bolus is None else (self.bolus,)
+
+    @property
     def n_bolus(self) -> int:
         """Number of balls, 0 or 1."""
-        return 0 if self.bolus is None else 1
+        return len(self.balls)
 
     @cached_property
     def node_mass(self) -> FloatArray:
@@ -297,7 +175,7 @@ class RodModel:
     @cached_property
     def element_radius(self) -> FloatArray:
         """Radius of every element at rest [m], shape (n_elem,)."""
-        return np.concatenate([rod.radius for rod in self.rods])
+        return self.of_rods("radius")
 
     @cached_property
     def node_damping(self) -> FloatArray:
@@ -335,6 +213,20 @@ class RodModel:
     def element_offset(self) -> IntArray:
         """Row of each rod's first element, then the number of elements, shape (n_rod + 1,)."""
         return np.cumsum([0] + [rod.n_elem for rod in self.rods])
+
+    @cached_property
+    def lower_node(self) -> IntArray:
+        """Row of the first node of every element, shape (n_elem,); the next row is its second."""
+        return np.delete(np.arange(self.n_node), self.node_offset[1:] - 1)
+
+    @cached_property
+    def left_element(self) -> IntArray:
+        """Row of the first element of every Voronoi region, shape (n_elem - n_rod,); the next row is its second."""
+        return np.delete(np.arange(self.n_elem), self.element_offset[1:] - 1)
+
+    def of_rods(self, name: str) -> FloatArray:
+        """Constants of all rods one after another, by the name of an array of `Rod`."""
+        return np.concatenate([getattr(rod, name) for rod in self.rods])
 
     @property
     def n_node(self) -> int:
@@ -408,7 +300,8 @@ class RodModel:
         lines = tuple(
             replace(line, stiffness=muscle * line.stiffness, damping=damping * line.damping) for line in self.lines
         )
-        vars(model).pop("node_damping", None)
+        for cached in ("node_damping", "laws"):
+            vars(model).pop(cached, None)
         vars(model).update(rods=rods, lines=lines)
         return model
 
@@ -423,11 +316,11 @@ class RodModel:
     def rest_state(self) -> RodState:
         """Return the state in which every rod has the shape it was given and nothing moves."""
         return RodState(
-            position=np.concatenate([rod.position for rod in self.rods]),
+            position=self.of_rods("position"),
             velocity=np.zeros((self.n_node, 3)),
-            directors=np.concatenate([rod.directors for rod in self.rods]),
+            directors=self.of_rods("directors"),
             omega=np.zeros((self.n_elem, 3)),
-            bolus_position=np.reshape([] if self.bolus is None else self.bolus.position, (-1, 3)),
+            bolus_position=np.reshape([ball.position for ball in self.balls], (-1, 3)),
             bolus_velocity=np.zeros((self.n_bolus, 3)),
             bolus_omega=np.zeros((self.n_bolus, 3)),
         )

@@ -129,6 +129,9 @@ class Rod:
         vars(rod).update(kept)
         return rod
 
+    def __repr__(self) -> str:
+        return f"Rod({self.n_elem} elements, length {self.rest_length.sum():.6g} m)"
+
     @property
     def n_elem(self) -> int:
         """Number of elements."""
@@ -272,7 +275,3 @@ def straight_rod(
         damping=damping,
         rotational_damping=rotational_damping,
     )
-
-
-MIN_DILATATION, MAX_DILATATION = 0.1, 5.0
-"""Length over rest length outside which an element counts as over-stretched: linear elasticity ended long before."""

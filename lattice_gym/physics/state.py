@@ -45,6 +45,10 @@ class RodState:
     time: float = 0.0
     """[s]"""
 
+    def __repr__(self) -> str:
+        n_node, n_elem, n_bolus = map(len, (self.position, self.directors, self.bolus_position))
+        return f"RodState({n_node} nodes, {n_elem} elements, {n_bolus} balls, time {self.time:.6g} s)"
+
     def copy(self) -> RodState:
         """Return a state that shares no memory with this one."""
         arrays = {name: value.copy() for name, value in vars(self).items() if name != "time"}
@@ -101,6 +105,9 @@ class Motion(NamedTuple):
     """Positions of the balls' centres [m], shape (n_worm, n_bolus, 3)."""
     bolus_velocity: FloatArray
     """[m/s], shape (n_worm, n_bolus, 3)"""
+
+    def __repr__(self) -> str:
+        return f"Motion({len(self.position)} worms, {self.position.shape[-2]} nodes)"
 
     @classmethod
     def of(cls, state: RodState) -> Motion:

@@ -10,8 +10,11 @@ import numpy as np
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import Muscle, MuscleLayout
-from lattice_gym.physics.assembly import Ball, Clamp, Joint, Line, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.lines import Line
 from lattice_gym.physics.rod import Rod, node_radius, straight_rod
 from lattice_gym.physics.world import World
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.simulation import Simulation
-from lattice_gym.physics.assembly import Ball, Clamp, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
 from lattice_gym.verification.case import Reading, Scene, advance_by, exact_case, sample

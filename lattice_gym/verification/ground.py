@@ -14,9 +14,9 @@ import numpy as np
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.rod import Rod, straight_rod
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Ground
 from lattice_gym.verification.bar import AREA, LENGTH, RADIUS, RHO
 from lattice_gym.verification.case import Reading, Scene, advance_by, exact_case, sample
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.simulation import Simulation
-from lattice_gym.physics.assembly import Clamp, Joint, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.laws.joints import Joint
 from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.state import RodState
 from lattice_gym.verification.bar import LENGTH, SPEED, bar

@@ -23,8 +23,9 @@ from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import Simulation, simulate
-from lattice_gym.physics.assembly import Clamp, PointTorque, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.loads import PointTorque
 from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.worm import build_model

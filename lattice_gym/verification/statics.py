@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from lattice_gym.engines.simulation import Simulation
-from lattice_gym.physics.assembly import Clamp, PointForce, PointTorque, RodModel
+from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.laws.loads import PointForce, PointTorque
 from lattice_gym.physics.rod import SHEAR_CORRECTION, Rod, rotation_between, straight_frames
 from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.verification.bar import AREA, GAZZOLA, LENGTH, RADIUS, RHO, SECOND_MOMENT, SPEED, E, G, bar

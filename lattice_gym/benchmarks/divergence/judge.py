@@ -31,8 +31,8 @@ from lattice_gym.checks import FloatArray
 from lattice_gym.engines.health import Health, Status, joint_gap_limits
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.elasticity import MAX_DILATATION, MIN_DILATATION
 from lattice_gym.physics.measures import dilatation, muscle_strain
-from lattice_gym.physics.rod import MAX_DILATATION, MIN_DILATATION
 
 WRONG, RIGHT = 0.10, 0.01
 """Distance from the reference [height] beyond which a run is wrong, and up to which it is right."""

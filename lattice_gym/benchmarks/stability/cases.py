@@ -10,7 +10,11 @@ from typing import Any
 import numpy as np
 
 from lattice_gym.body.design import LatticeDesign
-from lattice_gym.physics.world import Bolus, Contact, Ground, Medium, World
+from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.contact import Contact
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.medium import Medium
+from lattice_gym.physics.world import World
 
 PAIRS_AND_PERIODS = ((2, 1.0), (2, 2 / 3), (3, 2.0), (3, 1.5), (3, 1.0), (4, 2.0), (4, 1.6), (6, 1.5))
 """Pairs of rods and period ratios that close, with 2 to 8 segments on a rod, for random designs."""

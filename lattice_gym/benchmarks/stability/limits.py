@@ -41,8 +41,8 @@ from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.activation import advance_activation
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.elasticity import MAX_DILATATION, MIN_DILATATION
 from lattice_gym.physics.measures import dilatation
-from lattice_gym.physics.rod import MAX_DILATATION, MIN_DILATATION
 from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model

@@ -16,9 +16,12 @@ from lattice_gym.body.muscles import named_layout
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.adaptation import Adaptation
+from lattice_gym.physics.laws.contact import Contact
+from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.measures import muscle_strain
-from lattice_gym.physics.world import Contact, Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.crawl import Crawl
 from lattice_gym.tasks.transport import Transport

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from elastica.timestepper.symplectic_steppers import PEFRL
 
-from lattice_gym.engines.pyelastica.engine import Assembly
-from lattice_gym.physics.assembly import PointForce, RodModel
+from lattice_gym.engines.pyelastica.assembly import Assembly
+from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.loads import PointForce
 from lattice_gym.physics.rod import straight_rod
 
 _DT, _N_STEP, _DAMPING = 1e-4, 10, 1e-3

@@ -30,10 +30,11 @@ from lattice_gym.engines.health import Health, Status, joint_gap_limits, overstr
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
 from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.elasticity import MAX_DILATATION, MIN_DILATATION
+from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
-from lattice_gym.physics.rod import MAX_DILATATION, MIN_DILATATION, Rod
+from lattice_gym.physics.rod import Rod
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Ground
 
 
 class Shown(NamedTuple):

@@ -13,9 +13,9 @@ from elastica.rod.cosserat_rod import CosseratRod
 
 from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.pyelastica.law import START, Bodies, Law, Simulator
-from lattice_gym.physics.assembly import Ball as BallLaw
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
+from lattice_gym.physics.laws.ball import Ball as BallLaw
 from lattice_gym.physics.state import RodState
 
 _SWEEPS, _EVEN = 6, 1e-9

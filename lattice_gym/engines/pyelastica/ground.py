@@ -18,8 +18,8 @@ from lattice_gym.checks import FloatArray
 from lattice_gym.engines.pyelastica.law import START, Bodies, Law, Simulator
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
+from lattice_gym.physics.laws.ground import Ground as GroundLaw
 from lattice_gym.physics.state import RodState
-from lattice_gym.physics.world import Ground as GroundLaw
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from lattice_gym.checks import FloatArray
 from lattice_gym.engines.health import Health, Status, overstretched, torn
 from lattice_gym.engines.pyelastica.law import Bodies
 from lattice_gym.engines.pyelastica.lines import line_lengths
-from lattice_gym.physics.rod import MAX_DILATATION, MIN_DILATATION
+from lattice_gym.physics.laws.elasticity import MAX_DILATATION, MIN_DILATATION
 
 
 def health_of(bodies: Bodies, joint_gap_limits: FloatArray) -> Health:

@@ -1,1 +1,1 @@
-"""One file a law: its parameters, units, source, energy, bound for the stable step and plain formula."""
+"""One file a law: its parameters, units, source, energy, part of the critical time step and plain formula."""

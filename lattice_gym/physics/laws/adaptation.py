@@ -28,6 +28,9 @@ class Strength:
     time: FloatArray | float = 0.0
     """Time over which they were added up [s], shape (...,)."""
 
+    def __repr__(self) -> str:
+        return f"Strength({self.grown.shape[-1]} muscles, factor {self.factor.min():.6g} to {self.factor.max():.6g})"
+
     @property
     def factor(self) -> FloatArray:
         """Factor on the tension."""

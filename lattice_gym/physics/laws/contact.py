@@ -1,27 +1,39 @@
-"""Where rods touch each other: the law in plain numpy, for the ledger, for the reference engine and for tests.
+"""Rods that touch each other.
 
 Every element of a rod that is no muscle is a cylinder of its rest radius with round ends, and pushes at those of other
-rods. Where two overlap by a depth, with u_n the speed at which the nearest points of their centre lines part,
+rods. Where two overlap by a depth d, with u_n the speed at which the nearest points of their centre lines part,
 
-    N = max(0, stiffness depth - damping u_n)
+    N = max(0, stiffness d - damping u_n)
 
 acts on either along the line through these points, shared between its two nodes by the lever rule: momentum and angular
-momentum close. There is no friction. Where rods cross they are joined, and lie in each other: elements of joined rods
-that are near each other at rest never touch, see `MARGIN`, nor do any that overlap at rest. A rod does not touch
-itself, and muscles, which lie on the crossings, touch nothing.
+momentum close. There is no friction. Stored is stiffness d^2 / 2. Where rods cross they are joined, and lie in each
+other: elements of joined rods that are near each other at rest never touch, see `MARGIN`, nor do any that overlap at
+rest. A rod does not touch itself, and muscles, which lie on the crossings, touch nothing.
 
 The stiffness is that of a pair: rods that touch node on node, where two elements meet, are held by four, within
 elements by one, and rods that run along each other by the more the finer the mesh. The nearest point of rods that are
 all but parallel jumps from end to end of an element as they tilt: the energy is then continuous, but not the force's
-lever. Once centre lines have crossed, the push is the other way: the law holds as long as depths stay below the reach.
+lever. Once centre lines have crossed, the push is the other way: the law holds as long as depths stay below the contact
+distance, both radii together.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
 import numpy as np
 
-from lattice_gym.checks import FloatArray, IntArray
-from lattice_gym.physics.assembly import RodModel
+from lattice_gym.checks import Bounds, FloatArray, IntArray, Part
+from lattice_gym.physics.laws.base import Floor, Generalised, Law, Linearised, Shortened, optional
+
+if TYPE_CHECKING:
+    from lattice_gym.physics.assembly import RodModel
+    from lattice_gym.physics.state import RodState
+
 
 PARALLEL = 1e-12
 """Square of the sine of the angle between two elements below which they touch in the middle of where they run along
@@ -38,11 +50,92 @@ press each other: by where beyond a crossing the first element begins. No round 
 multiples of a radius, and rounding would then decide which of them touch.
 """
 
+DEEPEST = 0.1
+"""Depth over the contact distance to which rods are taken to press into each other. An assumption, no bound."""
+
 _ROUNDING = 1e-9
 """Depth of overlap over the radii that counts as none at rest."""
 
 _AT_A_TIME = 100_000
 """Pairs that are tried together: some tens of megabytes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact(Part):
+    """Rods push at each other where they come to overlap, without friction.
+
+    Muscles touch nothing, a rod does not touch itself, and where rods cross they are joined: elements that are near
+    each other at rest there never touch (`contact.MARGIN`). So it acts on the default worm only beyond the strength of
+    its muscles. Where those that compress it pull with 3 N, six times their strength, the defaults keep what may touch
+    nineteen twentieths of its radii apart.
+    """
+
+    bounds: ClassVar[Bounds] = {"stiffness": (1e-6, 1e9, "N/m"), "damping": (0.0, 1e6, "N s/m")}
+
+    stiffness: float = 300.0
+    """Of the contact of two elements [N/m]."""
+    damping: float = 0.05
+    """Of that contact, along the normal [N s/m]."""
+
+
+class ContactLaw(Law):
+    """Of all rods that are no muscles."""
+
+    fields: ClassVar = {"contact": optional(Contact)}
+
+    @classmethod
+    def present(cls, model: RodModel) -> bool:
+        """Rods touch."""
+        return model.contact is not None
+
+    @cached_property
+    def _contact(self) -> Contact:
+        assert self.model.contact is not None
+        return self.model.contact
+
+    @cached_property
+    def _excluded(self) -> IntArray:
+        """Pairs of elements that never touch, each as one number."""
+        numbers: IntArray = excluded(self.model) @ np.array([self.model.n_elem, 1])
+        return numbers
+
+    def touching(self, position: FloatArray) -> IntArray:
+        """Pairs of elements that push at each other, shape (n_pair, 2), as `overlapping` has them."""
+        pairs = overlapping(self.model, position)
+        touching: IntArray = pairs[~np.isin(pairs @ [self.model.n_elem, 1], self._excluded)]
+        return touching
+
+    def energy(self, state: RodState) -> Mapping[str, FloatArray]:
+        """Of the springs, half on either element, shape (n_elem,)."""
+        pairs = self.touching(state.position)
+        energy = 0.5 * self._contact.stiffness * depths(self.model, state.position, pairs) ** 2
+        share = np.zeros(self.model.n_elem)
+        np.add.at(share, pairs, 0.5 * energy[:, None])
+        return {"contact": share}
+
+    def linearised(self, shortened: Shortened) -> Linearised:
+        """As if every node were touched by other rods on both sides."""
+        crowded, law = _crowded(self.model, shortened.rod), self._contact
+        return Linearised([Floor(law.stiffness * crowded)], [Floor(law.damping * crowded)] if law.damping > 0.0 else [])
+
+    def force(self, state: RodState, tension: FloatArray) -> Generalised:
+        """Push pairs apart."""
+        force, law, low = Generalised.zeros(self.model), self._contact, self.model.lower_node
+        i, j = self.touching(state.position).T
+        start, side = state.position[low], state.position[low + 1] - state.position[low]
+        share = [s[:, None] for s in nearest(start[i], side[i], start[j], side[j])]
+        gap = start[i] + share[0] * side[i] - start[j] - share[1] * side[j]
+        distance = np.linalg.norm(gap, axis=1)
+        normal, speed = gap / distance[:, None], state.velocity
+        first, second = (
+            (1.0 - s) * speed[low[of]] + s * speed[low[of] + 1] for s, of in zip(share, (i, j), strict=True)
+        )
+        depth = self.model.element_radius[i] + self.model.element_radius[j] - distance
+        push = np.maximum(law.stiffness * depth - law.damping * np.sum((first - second) * normal, axis=1), 0.0)
+        for s, of, way in zip(share, (i, j), (normal, -normal), strict=True):
+            np.add.at(force.node, low[of], (1.0 - s) * push[:, None] * way)
+            np.add.at(force.node, low[of] + 1, s * push[:, None] * way)
+        return force
 
 
 def nearest(a: FloatArray, along_a: FloatArray, b: FloatArray, along_b: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -150,3 +243,31 @@ def excluded(model: RodModel) -> IntArray:
     joined = np.isin(np.sort(rod[near], axis=1) @ number, np.sort(joints, axis=1) @ number)
     never: IntArray = near[joined | (depths(model, position, near) > _ROUNDING * reaches(model, near))]
     return never
+
+
+def _crowded(model: RodModel, shortened: FloatArray) -> FloatArray:
+    """Contacts that every node of a rod but a muscle is taken to bear, shape (n_node, 1).
+
+    A contact between the places p and q bears no more than 2 p^2 + 2 q^2, by the lever rule two springs of its
+    stiffness at either node. A node is touched on two sides, an assumption, as rods may lie closer: by nodes, both its
+    elements by two each. Two terms more count where elements are short, rods being pressed together by `DEEPEST`.
+    Each element that begins on the length over which they overlap adds two contacts; as that has few itself, or where
+    rods run along each other half of them at other nodes, weights other than 2 count it as one. And as an element
+    tilts, the place where it is pushed at moves: a force F at a distance d bears tilts by F d over its length squared,
+    that of two contacts in which places are free to move. `shortened` has the length over rest length of every rod,
+    shape (n_rod,).
+    """
+    contacts = np.zeros(model.n_node)
+    solid = sorted(set(range(model.n_rod)) - set(model.muscles))
+    if not solid:
+        return contacts[:, None]
+    distance = 2.0 * max(float(model.rods[rod].radius.max()) for rod in solid)
+    stubby = distance / min(float(shortened[rod] * model.rods[rod].rest_length.min()) for rod in solid)
+    overlap = 2.0 * math.sqrt(1.0 - (1.0 - DEEPEST) ** 2)
+    sides, springs = 2.0, 2.0
+    touching = 2.0 + 0.5 * math.floor(overlap * stubby) + 2.0 * DEEPEST * (1.0 - DEEPEST) * stubby**2
+    for rod in solid:
+        contacts[model.nodes(rod)] = 2.0
+    contacts[model.node_offset[:-1]] *= 0.5
+    contacts[model.node_offset[1:] - 1] *= 0.5
+    return sides * touching * springs * contacts[:, None]

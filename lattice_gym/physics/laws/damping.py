@@ -1,12 +1,22 @@
-"""When and how much the velocities of nodes and elements are damped in a step."""
+"""Damping of velocities: -c v on every node, -c omega on every element, and when in a step it acts.
+
+PyElastica's analytical linear damper: a velocity falls by exp(-c dt / m) in a step, a spin by exp(-c dt e / J), with e
+the length of the element over that at rest. Nothing is stored.
+"""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from lattice_gym.checks import FloatArray
+from lattice_gym.physics.laws.base import Generalised, Law
+from lattice_gym.physics.rod import require
+
+if TYPE_CHECKING:
+    from lattice_gym.physics.assembly import RodModel
+    from lattice_gym.physics.state import RodState
 
 Splitting = Literal["pyelastica", "symmetric"]
 """When velocities are damped: once after the kick, as PyElastica does (first order), or all along it (second order).
@@ -28,3 +38,27 @@ def damping_shares(decay: FloatArray, splitting: Splitting) -> tuple[FloatArray,
     safe = np.where(small, 1.0, decay)
     after = np.where(small, 1.0, -np.expm1(-safe) / safe)
     return np.exp(-decay) / after, after
+
+
+def coefficients(model: RodModel) -> FloatArray:
+    """Damping of every component of what moves [N s/m, N m s], shape (3 n_node + 3 n_elem + 3 n_bolus,)."""
+    spin = np.repeat([rod.rotational_damping for rod in model.rods], [rod.n_elem for rod in model.rods])
+    return np.repeat(np.concatenate([model.node_damping, spin, np.zeros(model.n_bolus)]), 3)
+
+
+class DampingLaw(Law):
+    """Of rods, of lines, and of the medium by its drag."""
+
+    @classmethod
+    def present(cls, model: RodModel) -> bool:
+        """Anything is damped."""
+        return bool(model.node_damping.any()) or any(rod.rotational_damping > 0.0 for rod in model.rods)
+
+    def check(self) -> None:
+        """Refuse sums beyond the range of numbers."""
+        require(bool(np.isfinite(self.model.node_damping).all()), "medium_drag: far too large for these rods")
+
+    def force(self, state: RodState, tension: FloatArray) -> Generalised:
+        """Against velocities and spins."""
+        c = Generalised.split(self.model, coefficients(self.model))
+        return Generalised(-c.node * state.velocity, -c.element * state.omega, -c.ball * state.bolus_velocity)

@@ -11,7 +11,7 @@ from lattice_gym.engines.fused.kernels.compiling import compiled, inlined
 from lattice_gym.engines.fused.kernels.layout import Cells, Places
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws import contact as law
-from lattice_gym.physics.rod import MAX_DILATATION
+from lattice_gym.physics.laws.elasticity import MAX_DILATATION
 
 _SKIN = 0.25
 """How much further than they touch elements are listed, over the largest radii of two of them together."""

@@ -11,7 +11,9 @@ from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.fused.kernels.account import Account
 from lattice_gym.engines.fused.kernels.compiling import compiled, inlined
 from lattice_gym.engines.fused.kernels.layout import Cells, Places
-from lattice_gym.physics.assembly import Joint, Line, RodModel
+from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.joints import Joint
+from lattice_gym.physics.laws.lines import Line
 
 
 class Joints(NamedTuple):

@@ -1,0 +1,216 @@
+"""A rigid ball that pushes at rods.
+
+Where it overlaps an element, a cylinder of its rest radius r with round ends, by a depth d, with u the velocity of its
+material at the nearest point of the centre line over that of the line there, it pushes along the normal with
+
+    N = max(0, stiffness d - damping u_n)
+
+The lever rule shares the push between the element's two nodes, and the ball has the opposite force. Stored is
+stiffness d^2 / 2. Friction, at most friction N, comes after all forces and damping of a step: it takes all slip u_t
+that these leave, or acts against it in full (Coulomb). Which touches stick depends on all of them: the engines solve
+for that by projected Gauss-Seidel iteration on the Delassus matrix of the touches.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from lattice_gym.checks import Bounds, FloatArray, Part
+from lattice_gym.physics.laws.base import Generalised, Law, Linearised, Shortened, optional
+from lattice_gym.physics.rod import array_of_shape, checked_size, require
+
+if TYPE_CHECKING:
+    from lattice_gym.physics.assembly import RodModel
+    from lattice_gym.physics.state import RodState
+
+N_CENTRES = 256
+"""Elements, at most, at whose middles it is looked how much a ball touches from there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bolus(Part):
+    """A rigid ball inside the lattice, whose muscles must then be rods: lines touch nothing.
+
+    A medium carries its share of the ball's weight, but neither the medium's drag nor the ground acts on it.
+    """
+
+    bounds: ClassVar[Bounds] = {
+        "radius": (1e-4, 10.0, "m"),
+        "density": (1e-3, 1e5, "kg/m^3"),
+        "level": (0.0, 1e4, "levels"),
+        "stiffness": (1e-6, 1e9, "N/m"),
+        "damping": (0.0, 1e6, "N s/m"),
+        "friction": (0.0, 100.0, "1"),
+    }
+
+    radius: float = 0.03
+    """[m]"""
+    density: float = 1000.0
+    """[kg/m^3]"""
+    level: float = 1.0
+    """Where its centre starts, on the axis, in levels from the base."""
+    stiffness: float = 50.0
+    """Of its contact with an element [N/m]."""
+    damping: float = 0.05
+    """Of that contact, along the normal [N s/m]."""
+    friction: float = 0.3
+    """Friction over normal force."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ball:
+    """Rigid uniform ball that pushes at elements of rods, with friction.
+
+    Its forces act on the centre lines, the opposite ones and their moments on the ball, so that momentum and angular
+    momentum close; rods are not twisted.
+    """
+
+    position: FloatArray
+    """Where its centre starts [m], shape (3,)."""
+    radius: float
+    """[m]"""
+    mass: float
+    """[kg]"""
+    stiffness: float
+    """Of the contact with an element [N/m]."""
+    damping: float = 0.0
+    """Of that contact, along the normal [N s/m]."""
+    friction: float = 0.0
+    """Friction over normal force."""
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Constant force, as its weight less what the medium carries [N]."""
+
+    def __post_init__(self) -> None:
+        for name in ("radius", "mass"):
+            object.__setattr__(self, name, checked_size(f"Ball.{name}", getattr(self, name), above=True))
+        for name in ("stiffness", "damping", "friction"):
+            object.__setattr__(self, name, checked_size(f"Ball.{name}", getattr(self, name), above=False))
+        object.__setattr__(self, "position", array_of_shape("Ball.position", self.position, (3,)))
+        object.__setattr__(self, "force", tuple(array_of_shape("Ball.force", self.force, (3,)).tolist()))
+        sound = self.inertia > 0.0 and math.isfinite(self.inertia) and math.isfinite(1.0 / self.inertia)
+        require(sound, "Ball.radius, mass: inertia leaves the range of numbers; they are far too large or too small")
+
+    @property
+    def inertia(self) -> float:
+        """Moment of inertia about any diameter [kg m^2]."""
+        return 0.4 * self.mass * self.radius**2
+
+
+class BallLaw(Law):
+    """Of the ball, if there is one."""
+
+    fields: ClassVar = {"bolus": optional(Ball)}
+
+    @classmethod
+    def present(cls, model: RodModel) -> bool:
+        """There is a ball."""
+        return model.bolus is not None
+
+    @cached_property
+    def _ball(self) -> Ball:
+        assert self.model.bolus is not None
+        return self.model.bolus
+
+    def _gaps(self, state: RodState) -> tuple[FloatArray, FloatArray]:
+        """Ways to the centre from the nearest points of all elements [m], shape (n_elem, 3), and their shares."""
+        low = self.model.lower_node
+        start = state.position[low]
+        side, centre = state.position[low + 1] - start, state.bolus_position - start
+        share = np.clip(np.sum(centre * side, axis=1) / np.sum(side**2, axis=1), 0.0, 1.0)
+        return centre - share[:, None] * side, share
+
+    def energy(self, state: RodState) -> Mapping[str, FloatArray]:
+        """Kinetic energy of the ball, shape (1,), and of the spring between it and every element, shape (n_elem,)."""
+        ball, (gap, _) = self._ball, self._gaps(state)
+        square = [np.sum(moving**2, axis=1) for moving in (state.bolus_velocity, state.bolus_omega)]
+        depth = np.maximum(ball.radius + self.model.element_radius - np.linalg.norm(gap, axis=1), 0.0)
+        return {
+            "bolus": 0.5 * ball.mass * square[0] + 0.5 * ball.inertia * square[1],
+            "bolus_contact": 0.5 * ball.stiffness * depth**2,
+        }
+
+    def work(self, before: RodState, after: RodState) -> float:
+        """Of its constant force [J]."""
+        return float((after.bolus_position - before.bolus_position)[0] @ self._ball.force)
+
+    def linearised(self, shortened: Shortened) -> Linearised:
+        """Springs and dashpots of all that it may touch."""
+        ball = self._ball
+        springs, dashpots = (_BallSprings.of(self.model, ball, size) for size in (ball.stiffness, ball.damping))
+        return Linearised(
+            [springs] if ball.stiffness > 0.0 else [],
+            [dashpots] if ball.damping > 0.0 else [],
+        )
+
+    def force(self, state: RodState, tension: FloatArray) -> Generalised:
+        """Constant force and pushes; for friction see above."""
+        ball, force, low = self._ball, Generalised.zeros(self.model), self.model.lower_node
+        gap, share = self._gaps(state)
+        distance, bears = np.linalg.norm(gap, axis=1), np.stack([1.0 - share, share])
+        normal = gap / distance[:, None]
+        own = state.bolus_velocity - np.cross(state.bolus_omega, gap)
+        line = bears[0, :, None] * state.velocity[low] + bears[1, :, None] * state.velocity[low + 1]
+        depth = ball.radius + self.model.element_radius - distance
+        push = np.maximum(ball.stiffness * depth - ball.damping * np.sum((own - line) * normal, axis=1), 0.0)
+        on_ball = np.where(depth > 0.0, push, 0.0)[:, None] * normal
+        force.ball[:] = ball.force + on_ball.sum(axis=0)
+        for node, part in zip((low, low + 1), bears, strict=True):
+            np.subtract.at(force.node, node, part[:, None] * on_ball)
+        return force
+
+
+@dataclass(frozen=True)
+class _BallSprings:
+    """Springs (dashpots) between a ball and the elements that it touches.
+
+    What it touches changes. By the lever rule a contact between the shares p and q bears, for any s > 0, no more than
+    p (1 + 1/s) and q (1 + 1/s) of its stiffness at either node and 1 + s at the ball, whatever the normal. Here every
+    node bears both its elements in full, and the ball all that it may touch; s makes its rate and that of the lightest
+    node alike, the sum of both alone.
+    """
+
+    size: float
+    """Of one contact [N/m] ([N s/m])."""
+    on_node: FloatArray
+    """Contacts that every node bears, shape (n_node,)."""
+    on_ball: float
+    """Contacts that the ball bears."""
+    coupled = True
+
+    @classmethod
+    def of(cls, model: RodModel, ball: Ball, size: float) -> _BallSprings:
+        on_ball, on_node = _most_touched(model, ball), np.full(model.n_node, 2.0)
+        on_node[model.node_offset[:-1]] = on_node[model.node_offset[1:] - 1] = 1.0
+        free = np.ones(model.n_node, dtype=np.bool_)
+        free[model.held_nodes[0]] = False
+        given, taken = (on_node / model.node_mass)[free].max(initial=0.0), on_ball / ball.mass
+        on_node *= (given + taken) / given if given > 0.0 else 1.0
+        return cls(size, on_node, on_ball * ((given + taken) / taken if taken > 0.0 else 1.0))
+
+    def __call__(self, moved: Generalised, against: Generalised) -> None:
+        """Add the forces against displacements, in place."""
+        against.node[:] += self.size * self.on_node[:, None] * moved.node
+        against.ball[:] += self.size * self.on_ball * moved.ball
+
+
+def _most_touched(model: RodModel, ball: Ball) -> float:
+    """Elements that a ball touches at once, at most: those within its reach at rest, wherever its centre is on a rod.
+
+    An assumption, no bound: elements come closer to each other where rods are squeezed.
+    """
+    place, low = model.rest_state().position, model.lower_node
+    start = place[low]
+    side = place[low + 1] - start
+    square, touching = np.sum(side**2, axis=1), (1.0 + 1e-6) * (ball.radius + model.element_radius)
+    most = 0
+    for centre in [ball.position, *(start + 0.5 * side)[:: math.ceil(model.n_elem / N_CENTRES)]]:
+        gap = centre - start
+        far = np.clip(np.sum(gap * side, axis=1) / square, 0.0, 1.0)
+        most = max(most, int(np.sum(np.sum((gap - far[:, None] * side) ** 2, axis=1) < touching**2)))
+    return float(most)
