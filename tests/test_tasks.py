@@ -23,10 +23,9 @@ from lattice_gym.physics.state import Motion, RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.base import EFFORT_WEIGHT, Task
-from lattice_gym.tasks.gaits import FULL_DRIVE_AMPLITUDE, gait
-from lattice_gym.tasks.peristalsis import Peristalsis
+from lattice_gym.tasks.peristalsis import FULL_DRIVE_AMPLITUDE, Peristalsis
 from lattice_gym.tasks.reach import EIGHT_TARGETS
-from lattice_gym.tasks.registry import TASKS, make_task
+from lattice_gym.tasks.registry import TASKS, design_for, gait, resolve_task
 
 LATTICE = build_lattice(LatticeDesign())
 MODEL = build_model(LATTICE, named_layout("all", LATTICE))
@@ -42,7 +41,7 @@ def _at(position: FloatArray) -> RodState:
 
 def _terms(task: Task, state: RodState, activation: FloatArray, time: float) -> dict[str, float]:
     """Terms of the only worm."""
-    terms = task.terms(Motion.of(state), activation[None], np.array([time]))
+    terms = task.reward_terms(Motion.of(state), activation[None], np.array([time]))
     return {name: value.item() for name, value in terms.items()}
 
 
@@ -64,17 +63,8 @@ def _over(task: Task, state: RodState) -> bool:
 
 REST = _at(SHAPE)
 CALM = np.zeros(90)
-CARRIER = build_model(LATTICE, named_layout("all", LATTICE), TASKS["transport"].surroundings(LATTICE))
+CARRIER = build_model(LATTICE, named_layout("all", LATTICE), TASKS["transport"].world(LATTICE))
 WAVE = {"speed": 0.1, "wavelength": 0.1, "amplitude": 0.05, "phase": 0.0}
-EPISODE = {
-    "extension": 40,
-    "compression": 40,
-    "bending": 40,
-    "peristalsis": 200,
-    "reach": 60,
-    "crawl": 200,
-    "transport": 200,
-}
 LEAST = {"reach": 0.08, "crawl": 0.02, "transport": 0.03}
 """What gaits earn a step at least; else 0.15."""
 
@@ -100,7 +90,7 @@ def _play(
     env, rewards, info = LatticeWormEnv(task, command=command), [], dict[str, Any]()
     env.reset(seed=0)
     env.action_space.seed(0)
-    for _ in range(EPISODE[task]):
+    for _ in range(TASKS[task].time_limit):
         _, reward, terminated, _, info = env.step(act(env))
         rewards.append(reward)
         if terminated:
@@ -112,15 +102,15 @@ def _play(
 @pytest.fixture(params=list(TASKS))
 def task(request: pytest.FixtureRequest) -> Task:
     """Build each task, with its own changes to the default design."""
-    lattice = build_lattice(LatticeDesign(**TASKS[request.param].design))
-    return make_task(request.param, lattice, 0.05)
+    lattice = build_lattice(design_for(request.param))
+    return TASKS[request.param](lattice, 0.05)
 
 
 def test_terms_have_their_names(task: Task) -> None:
     """In order; an outcome is not the reward; what is observed has its bounds; rest earns zero."""
     task.begin(np.random.default_rng(0), None)
     terms = _terms(task, task.rest, CALM, 0.05)
-    assert tuple(terms) == task.term_names
+    assert tuple(terms) == (*task.rewards, "effort")
     assert sum(terms.values()) == pytest.approx(0.0, abs=1e-12)
     assert _observe(task, task.rest, 0.05).shape == (len(task.bounds),)
     assert all(isinstance(value, float) for value in {**terms, **_outcome(task, task.rest)}.values())
@@ -137,7 +127,7 @@ def test_length(stretch: float) -> None:
     """Extension pays the strain, compression its opposite; the outcome is the same."""
     state = _at(SHAPE * [1.0, 1.0, 1.0 + stretch])
     for name, sign in (("extension", 1.0), ("compression", -1.0)):
-        task = make_task(name, LATTICE, 0.05)
+        task = TASKS[name](LATTICE, 0.05)
         assert _terms(task, state, CALM, 0.0)["strain"] == pytest.approx(sign * stretch, abs=1e-12)
         assert _outcome(task, state)["strain"] == pytest.approx(stretch, abs=1e-12)
 
@@ -145,7 +135,7 @@ def test_length(stretch: float) -> None:
 @given(angle=st.floats(0.01, 3.0), azimuth=st.floats(0.0, 6.28), command=st.floats(-6.28, 6.28))
 def test_bending(angle: float, azimuth: float, command: float) -> None:
     """The part of the bend along the command counts, the part across counts against."""
-    task = make_task("bending", LATTICE, 0.05, {"azimuth": command})
+    task = TASKS["bending"](LATTICE, 0.05, {"azimuth": command})
     terms, outcome = _terms(task, _tipped(angle, azimuth), CALM, 0.0), _outcome(task, _tipped(angle, azimuth))
     assert terms["bend"] == pytest.approx(angle * np.cos(azimuth - command), abs=1e-9)
     assert terms["sideways"] == pytest.approx(-angle * abs(np.sin(azimuth - command)), abs=1e-9)
@@ -162,7 +152,7 @@ def test_bending(angle: float, azimuth: float, command: float) -> None:
 )
 def test_reach(moved: tuple[float, ...], azimuth: float, radius: float, rise: float) -> None:
     """What is earned is how much nearer the target is, in heights, wherever the whole body goes."""
-    task = make_task("reach", LATTICE, 0.05, {"azimuth": azimuth, "radius": radius, "rise": rise}, MODEL)
+    task = TASKS["reach"](LATTICE, 0.05, {"azimuth": azimuth, "radius": radius, "rise": rise}, MODEL)
     target = 0.1 * np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), rise])
     state, near = _at(SHAPE + moved), float(np.linalg.norm(target - moved))
     terms, outcome = _terms(task, state, CALM, 0.35), _outcome(task, state)
@@ -178,7 +168,7 @@ def test_reach_lies_down() -> None:
     """A target lies down with the body."""
     lattice = build_lattice(LatticeDesign(base="free"))
     model = build_model(lattice, named_layout("all", lattice), World(lying=True))
-    task = make_task("reach", lattice, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": -0.1}, model)
+    task = TASKS["reach"](lattice, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": -0.1}, model)
     state = model.rest_state()
     state.position[:] += [-0.01, 0.0, -0.02]  # along the axis, which is x now, and along what was x, which is down
     assert _terms(task, state, CALM, 0.0)["approach"] == pytest.approx(np.hypot(0.2, 0.1), abs=1e-6)
@@ -186,7 +176,7 @@ def test_reach_lies_down() -> None:
 
 
 def _crawl(**command: float) -> Task:
-    return make_task("crawl", build_lattice(LatticeDesign(**TASKS["crawl"].design)), 0.05, command)
+    return TASKS["crawl"](build_lattice(design_for("crawl")), 0.05, command)
 
 
 @given(way=st.floats(-0.05, 0.05), aside=st.floats(-0.05, 0.05), direction=st.sampled_from([-1.0, 1.0]))
@@ -251,7 +241,7 @@ def test_the_crawling_gait_crawls_both_ways(direction: float) -> None:
 @settings(deadline=None)
 def test_transport(height: float, off: float, angle: float, up: float) -> None:
     """Ten for a height along the command; out by the commanded end is delivered, by another way lost."""
-    task = make_task("transport", LATTICE, 0.05, {"direction": up}, CARRIER)
+    task = TASKS["transport"](LATTICE, 0.05, {"direction": up}, CARRIER)
     task.begin(np.random.default_rng(0), None)
     state = task.rest.copy()
     state.bolus_position[:] = [off * np.cos(angle), off * np.sin(angle), height]
@@ -302,7 +292,7 @@ def test_eight_targets_are_reached() -> None:
 @given(share=st.floats(-1.0, 2.0), phase=st.floats(-6.0, 6.0), time=st.floats(0.0, 5.0), up=st.booleans())
 def test_tracking(share: float, phase: float, time: float, up: bool) -> None:
     """A share s of the commanded wave earns (2 s - s^2) / (1 + (1 - s)^2): 1 for all, -3/5 for its opposite."""
-    task = make_task("peristalsis", LATTICE, 0.05, WAVE | {"speed": 0.1 if up else -0.1, "phase": phase})
+    task = TASKS["peristalsis"](LATTICE, 0.05, WAVE | {"speed": 0.1 if up else -0.1, "phase": phase})
     assert isinstance(task, Peristalsis)
     # The 8 levels span one wavelength, so sums over them do not depend on the time.
     target = 0.05 * np.cos(2 * np.pi * ((1 if up else -1) * time - np.arange(1, 9) / 8) + phase)
@@ -316,14 +306,14 @@ def test_tracking_is_bounded(deviation: list[float], wave: int) -> None:
     """From -1 to 2 whatever the rings do and whatever wave may be asked for."""
     rng = np.random.default_rng(wave)
     command = {"speed": 0.08, "wavelength": rng.uniform(0.04, 1.0), "amplitude": rng.uniform(0.001, 0.5)}
-    task = make_task("peristalsis", LATTICE, 0.05, command | {"phase": rng.uniform(-6.0, 6.0)})
+    task = TASKS["peristalsis"](LATTICE, 0.05, command | {"phase": rng.uniform(-6.0, 6.0)})
     assert -1.0 <= _terms(task, _widened(np.array(deviation)), CALM, 0.3)["tracking"] <= 2.0
 
 
 @given(seed=st.integers(0, 1000), size=st.floats(1e-3, 0.5))
 def test_no_still_shape_follows_a_wave(seed: int, size: float) -> None:
     """Over a whole period any fixed deviation costs, and none costs more than 1 a step."""
-    task = make_task("peristalsis", LATTICE, 0.05, WAVE)
+    task = TASKS["peristalsis"](LATTICE, 0.05, WAVE)
     deviation = np.random.default_rng(seed).uniform(-size, size, 8)
     earned = [_terms(task, _widened(deviation), CALM, 0.05 * k)["tracking"] for k in range(20)]
     assert -1.0 <= np.mean(earned) < 0.0
@@ -341,7 +331,7 @@ def test_holding_all_rings_costs_little() -> None:
 
 def test_the_wave_is_measured_over_two_periods() -> None:
     """Nothing before, then the commanded wave's index, direction and speed; a new episode forgets."""
-    task = make_task("peristalsis", LATTICE, 0.05, WAVE | {"speed": -0.1})
+    task = TASKS["peristalsis"](LATTICE, 0.05, WAVE | {"speed": -0.1})
     assert isinstance(task, Peristalsis)
     task.begin(np.random.default_rng(0), None)
     for step in range(1, 41):
@@ -391,21 +381,21 @@ def test_a_vanishing_gait_makes_no_wave(drive: float, travels: bool) -> None:
 
 def test_captions() -> None:
     """Units, and what was asked beside what came; what stands upright leans no way."""
-    assert make_task("extension", LATTICE, 0.05).caption(_at(SHAPE * [1.0, 1.0, 1.311])) == "strain +31.1 %"
-    assert make_task("compression", LATTICE, 0.05).caption(_at(SHAPE * [1.0, 1.0, 0.8])) == "strain -20.0 %"
-    bending = make_task("bending", LATTICE, 0.05, {"azimuth": np.radians(-270.0)})
+    assert TASKS["extension"](LATTICE, 0.05).caption(_at(SHAPE * [1.0, 1.0, 1.311])) == "strain +31.1 %"
+    assert TASKS["compression"](LATTICE, 0.05).caption(_at(SHAPE * [1.0, 1.0, 0.8])) == "strain -20.0 %"
+    bending = TASKS["bending"](LATTICE, 0.05, {"azimuth": np.radians(-270.0)})
     tipped = _tipped(np.radians(24.6), np.radians(92.0))
     assert bending.caption(tipped) == "bend 24.6 deg towards 92 deg (asked: 90 deg)"
     assert bending.caption(_tipped(0.1, np.radians(359.7))) == "bend 5.7 deg towards 0 deg (asked: 90 deg)"
     assert bending.caption(REST) == "bend 0.0 deg (asked: 90 deg)"
-    transport = make_task("transport", LATTICE, 0.05, {"direction": 1.0}, CARRIER)
+    transport = TASKS["transport"](LATTICE, 0.05, {"direction": 1.0}, CARRIER)
     state = transport.rest.copy()
     for height, end in ((0.06, ""), (0.101, ", delivered"), (-0.01, ", lost")):
         state.bolus_position[0, 2] = height
         _terms(transport, state, CALM, 2.0)
         way = 1e3 * (min(max(height, 0.0), 0.1) - 0.05625)
         assert transport.caption(state) == f"{way:+.1f} mm up at {way / 2:.1f} mm/s{end}"
-    reach = make_task("reach", LATTICE, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": 0.0})
+    reach = TASKS["reach"](LATTICE, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": 0.0})
     assert reach.caption(REST) == "20.0 mm from the target"
     there = _at(SHAPE + np.array([0.02, 0.0, 0.0]))
     _terms(reach, there, CALM, 1.5)
@@ -433,28 +423,28 @@ def test_bounds_of_commands_are_reached(height: float) -> None:
         ("phase", 2 * np.pi, 1.001, {}),
         ("phase", -2 * np.pi, 1.001, {}),
     ):
-        task = make_task("peristalsis", lattice, 0.05, rest | {name: value})
+        task = TASKS["peristalsis"](lattice, 0.05, rest | {name: value})
         task.begin(np.random.default_rng(0), {name: value})
         assert np.all(np.abs(_observe(task, REST, 0.0).astype(np.float32)) <= np.array(task.bounds, dtype=np.float32))
         with pytest.raises(ValueError, match=rf"^command\['{name}'\]"):
-            make_task("peristalsis", lattice, 0.05, rest | {name: outwards * value})
+            TASKS["peristalsis"](lattice, 0.05, rest | {name: outwards * value})
     for azimuth in (2 * np.pi, -2 * np.pi):
-        make_task("bending", lattice, 0.05, {"azimuth": azimuth})
+        TASKS["bending"](lattice, 0.05, {"azimuth": azimuth})
 
 
 @pytest.mark.parametrize("command", [{"speed": 0.01, "wavelength": 0.1}, {"wavelength": 0.0375, "speed": 0.1}])
 def test_bounds_of_the_default_design(command: dict[str, float]) -> None:
     """A tenth of a height a second, and three level spacings."""
-    make_task("peristalsis", LATTICE, 0.05, command)
+    TASKS["peristalsis"](LATTICE, 0.05, command)
 
 
 def test_a_free_body_is_not_paid_for_tilting() -> None:
     """Tipped over whole it neither bends, stretches nor shrinks; the same body on a clamped base bends."""
     lattice = build_lattice(LatticeDesign(base="free"))
     for name, term in (("bending", "bend"), ("extension", "strain"), ("compression", "strain")):
-        terms = _terms(make_task(name, lattice, 0.05), _tipped(0.7, 1.0), CALM, 0.0)
+        terms = _terms(TASKS[name](lattice, 0.05), _tipped(0.7, 1.0), CALM, 0.0)
         assert terms[term] == pytest.approx(0.0, abs=1e-12)
-    clamped = make_task("bending", LATTICE, 0.05, {"azimuth": 1.0})
+    clamped = TASKS["bending"](LATTICE, 0.05, {"azimuth": 1.0})
     assert _terms(clamped, _tipped(0.7, 1.0), CALM, 0.0)["bend"] > 0.69
 
 
@@ -474,7 +464,7 @@ def test_commands_are_drawn_within_their_ranges(task: Task) -> None:
 
 def test_lists_are_drawn_from() -> None:
     """Every number of them, and nothing else; the others stay as they were."""
-    free, few = make_task("bending", LATTICE, 0.05), make_task("bending", LATTICE, 0.05, {"azimuth": [0.0, 1.0, 2.0]})
+    free, few = TASKS["bending"](LATTICE, 0.05), TASKS["bending"](LATTICE, 0.05, {"azimuth": [0.0, 1.0, 2.0]})
     drawn = []
     for seed in range(30):
         few.begin(np.random.default_rng(seed), None)
@@ -485,14 +475,14 @@ def test_lists_are_drawn_from() -> None:
     hostile: list[Any] = [[], [0.0, 7.0], [[0.0]], ["north"]]
     for wrong in hostile:
         with pytest.raises(ValueError, match=r"^command\['azimuth'\] = "):
-            make_task("bending", LATTICE, 0.05, {"azimuth": wrong})
+            TASKS["bending"](LATTICE, 0.05, {"azimuth": wrong})
     with pytest.raises(ValueError, match=r"^command: .*4 control steps"):
-        make_task("peristalsis", LATTICE, 0.05, {"speed": [0.1, 0.9]})
+        TASKS["peristalsis"](LATTICE, 0.05, {"speed": [0.1, 0.9]})
 
 
 def test_fixed_commands_leave_the_others_alone() -> None:
     """The constructor fixes for good, options for one episode, and what is drawn does not shift."""
-    free, held = make_task("peristalsis", LATTICE, 0.05), make_task("peristalsis", LATTICE, 0.05, {"speed": -0.09})
+    free, held = TASKS["peristalsis"](LATTICE, 0.05), TASKS["peristalsis"](LATTICE, 0.05, {"speed": -0.09})
     for task in (free, held):
         task.begin(np.random.default_rng(3), {"wavelength": 0.11})
     assert held.command == free.command | {"speed": -0.09, "wavelength": 0.11}
@@ -523,8 +513,8 @@ def test_fixed_commands_leave_the_others_alone() -> None:
 def test_wrong_commands(name: str, command: Any, message: str) -> None:
     """At construction and, under its other name, at reset; a refused reset leaves the task as it was."""
     with pytest.raises(ValueError, match=message):
-        make_task(name, LATTICE, 0.05, command)
-    task = make_task(name, LATTICE, 0.05)
+        TASKS[name](LATTICE, 0.05, command)
+    task = TASKS[name](LATTICE, 0.05)
     before = dict(task.command)
     with pytest.raises(ValueError, match=message.replace("command", "options", 1)):
         task.begin(np.random.default_rng(0), command)
@@ -551,20 +541,20 @@ def test_wrong_commands(name: str, command: Any, message: str) -> None:
 def test_lattices_that_cannot(name: str, design: LatticeDesign, message: str) -> None:
     """The error says what the lattice lacks."""
     with pytest.raises(ValueError, match=message):
-        make_task(name, build_lattice(design), 0.05)
+        TASKS[name](build_lattice(design), 0.05)
 
 
 def test_unknown_tasks() -> None:
     """The error lists the tasks."""
     with pytest.raises(ValueError, match=r"^task = 'swimming': must be one of extension, compression, bending, peri"):
-        make_task("swimming", LATTICE, 0.05)
+        resolve_task("swimming")
 
 
 def test_slow_control_steps_cannot_follow() -> None:
     """The fastest wave that may be drawn must be sampled; a slower one may be asked for."""
     with pytest.raises(ValueError, match=r"^command: .*period of 0.666667 s; it must last 4 control steps"):
-        make_task("peristalsis", LATTICE, 0.2)
-    make_task("peristalsis", LATTICE, 0.2, {"speed": 0.05})
+        TASKS["peristalsis"](LATTICE, 0.2)
+    TASKS["peristalsis"](LATTICE, 0.2, {"speed": 0.05})
 
 
 @pytest.mark.parametrize("name", list(TASKS))

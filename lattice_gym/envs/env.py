@@ -29,7 +29,7 @@ from lattice_gym.physics.state import Motion, RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.base import Given, Task
-from lattice_gym.tasks.registry import TASKS, make_task
+from lattice_gym.tasks.registry import resolve_task
 
 if TYPE_CHECKING:
     from lattice_gym.rendering.scene import Renderer
@@ -324,7 +324,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def __init__(
         self,
-        task: str = "peristalsis",
+        task: str | type[Task] = "peristalsis",
         design: LatticeDesign | Mapping[str, Any] | None = None,
         muscles: str | MuscleLayout | Mapping[str, Any] | None = None,
         control: str | Sequence[int] | IntArray = "muscle",
@@ -344,8 +344,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         adaptation: Adaptation | Mapping[str, Any] | None = None,
         hill: Hill | Mapping[str, Any] | None = None,
         randomise: Mapping[str, Sequence[float]] | None = None,
+        reward_weights: Mapping[str, float] | None = None,
     ) -> None:
-        _check_choice("task", task, tuple(TASKS))
+        kind = resolve_task(task)
         _check_choice("observation", observation, OBSERVATIONS)
         _check_choice("engine", engine, get_args(EngineName))
         if render_mode is not None:
@@ -353,18 +354,18 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self.control_dt = _number("control_dt", control_dt, SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT, "s")
         self.rhythm = None if rhythm is None else _number("rhythm", rhythm, 0.0, 0.5 / self.control_dt, "Hz")
         preset = named_fidelity(fidelity)
-        self.design = preset.remesh(_design(design, TASKS[task].design))
+        self.design = preset.remesh(_design(design, kind.design))
         self.lattice = build_lattice(self.design)
-        self.layout = resolve_layout(TASKS[task].layout if muscles is None else muscles, self.lattice)
+        self.layout = kind.muscles(self.lattice) if muscles is None else resolve_layout(muscles, self.lattice)
         self.groups = control_groups(control, self.layout, self.lattice)
-        self.world = _world(world, TASKS[task].surroundings, self.lattice)
+        self.world = _world(world, kind.world, self.lattice)
         if self.world.lying and self.design.base == "clamped":
             raise ValueError("world: a worm that lies needs a free base (design.base); on a clamped one it stands")
         self.adaptation = Adaptation.resolve("adaptation", adaptation)
         self.randomisation = Randomisation.resolve(randomise)
         self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))
-        self._given = command
-        self.task = make_task(task, self.lattice, self.control_dt, command, self.model)
+        self._given: dict[str, Any] = {"command": command, "reward_weights": reward_weights}
+        self.task = kind(self.lattice, self.control_dt, model=self.model, **self._given)
         preferred: Splitting = "pyelastica" if engine == "pyelastica" else preset.splitting
         self.splitting: Splitting = preferred if splitting is None else splitting
         self.n_substeps, self.dt = self._substeps(dt, allow_large_dt)
@@ -490,7 +491,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def episodes(self, n_worm: int) -> Episodes:
         """Make episodes of n worms, each as this environment has one."""
-        task = make_task(self.task.name, self.lattice, self.control_dt, self._given, self.model, n_worm)
+        task = type(self.task)(self.lattice, self.control_dt, model=self.model, n_worm=n_worm, **self._given)
         task.rest = self._start
         return self._episodes(task)
 
