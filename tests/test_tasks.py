@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -15,17 +16,17 @@ from hypothesis import strategies as st
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.checks import FloatArray
+from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.physics.measures import muscle_lengths, top_centre
 from lattice_gym.physics.state import Motion, RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
-from lattice_gym.tasks.base import EFFORT_WEIGHT, Task
+from lattice_gym.tasks.base import EFFORT_WEIGHT, LEAST_PENALTY, RewardTerm, Task
 from lattice_gym.tasks.peristalsis import FULL_DRIVE_AMPLITUDE, Peristalsis
 from lattice_gym.tasks.reach import EIGHT_TARGETS
-from lattice_gym.tasks.registry import TASKS, design_for, gait, resolve_task
+from lattice_gym.tasks.registry import TASKS, design_for, gait, resolve_task, task_label
 
 LATTICE = build_lattice(LatticeDesign())
 MODEL = build_model(LATTICE, named_layout("all", LATTICE))
@@ -544,10 +545,211 @@ def test_lattices_that_cannot(name: str, design: LatticeDesign, message: str) ->
         TASKS[name](build_lattice(design), 0.05)
 
 
-def test_unknown_tasks() -> None:
-    """The error lists the tasks."""
-    with pytest.raises(ValueError, match=r"^task = 'swimming': must be one of extension, compression, bending, peri"):
-        resolve_task("swimming")
+class Stand(Task):
+    """The least that a task must have: be paid for nothing but lying low."""
+
+    name = "stand"
+    time_limit = 500
+    rewards: ClassVar[Mapping[str, RewardTerm]] = {"height": RewardTerm(2.0, -3.0, -1.0)}
+
+    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+        """Minus the greatest height."""
+        return {"height": -motion.position[:, :, 2].max(axis=-1) / 0.1}
+
+    def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
+        """Greatest height [m]."""
+        return {"height": motion.position[:, :, 2].max(axis=-1)}
+
+
+class Unbounded(Stand):
+    """As `Stand`, without a range."""
+
+    rewards: ClassVar[Mapping[str, RewardTerm]] = {"height": RewardTerm(2.0)}
+
+
+class Abstract(Task):
+    """No task: it has a name only."""
+
+    name = "abstract"
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        ("swimming", r"^task = 'swimming': must be one of extension, compression, bending, peri"),
+        (None, r"^task = None: must be one of"),
+        (["bending"], r"^task = \['bending'\]: must be one of"),
+        (LatticeDesign, r"^task = <class .*LatticeDesign'>: must be one of"),
+        ("json:loads", r"^task = 'json:loads': must be one of .* a Task subclass"),
+        ("json:nothing", r"^task = 'json:nothing': cannot be imported: AttributeError"),
+        ("no_such_module:Task", r"^task = 'no_such_module:Task': cannot be imported: ModuleNotFoundError"),
+        (":", r"^task = ':': cannot be imported"),
+        (Abstract, r"^task = <class .*Abstract'>: lacks time_limit, rewards, outcome, terms"),
+        ("lattice_gym.tasks.base:Task", r"^task = .* lacks name, time_limit, rewards, outcome, terms"),
+    ],
+)
+def test_what_is_no_task(task: Any, message: str) -> None:
+    """The error says what would be one, or what is missing."""
+    with pytest.raises(ValueError, match=message):
+        resolve_task(task)
+
+
+def test_tasks_by_class_and_by_string() -> None:
+    """A name, a class and "module:Class" are the same."""
+    for name, kind in TASKS.items():
+        assert resolve_task(name) is resolve_task(kind) is resolve_task(f"{kind.__module__}:{kind.__name__}") is kind
+        assert task_label(kind) == name
+    assert resolve_task(task_label(Stand)) is Stand
+
+    class Local(Stand):
+        """Cannot be imported."""
+
+    assert resolve_task(Local) is Local
+    with pytest.raises(ValueError, match=r"^task = .*Local'>: cannot be imported as"):
+        task_label(Local)
+
+
+def test_reward_weights() -> None:
+    """They change their terms and nothing else; 0 takes a term away, and less than 0 turns it round."""
+    weights = {"sideways": 3.0, "effort": 0.0}
+    plain, changed = TASKS["bending"](LATTICE, 0.05), TASKS["bending"](LATTICE, 0.05, reward_weights=weights)
+    assert changed.weights == {"bend": 1.0, "sideways": 3.0, "effort": 0.0}
+    state, active = _tipped(0.5, 1.0), np.full(90, 0.5)
+    own, other = _terms(plain, state, active, 0.05), _terms(changed, state, active, 0.05)
+    assert other == own | {"sideways": 3.0 * own["sideways"], "effort": 0.0}
+    turned = TASKS["bending"](LATTICE, 0.05, reward_weights={"bend": -1})
+    assert _terms(turned, state, active, 0.05)["bend"] == -own["bend"]
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ({"speed": 1.0}, r"^reward_weights: bending has no 'speed'; its terms are bend, sideways, effort$"),
+        ({"divergence": 1.0}, r"^reward_weights: bending has no 'divergence'"),
+        ({"bend": "much"}, r"^reward_weights\['bend'\] = 'much': must be a number from -1e\+06 to 1e\+06$"),
+        ({"bend": True}, r"^reward_weights\['bend'\] = True"),
+        ({"bend": float("nan")}, r"^reward_weights\['bend'\] = nan"),
+        ({"bend": 1e7}, r"^reward_weights\['bend'\] = 10000000.0"),
+        ([1.0], r"^reward_weights = \[1.0\]: must be a mapping"),
+    ],
+)
+def test_wrong_reward_weights(weights: Any, message: str) -> None:
+    """The error names the known terms."""
+    with pytest.raises(ValueError, match=message):
+        TASKS["bending"](LATTICE, 0.05, reward_weights=weights)
+    with pytest.raises(ValueError, match=message):
+        LatticeWormEnv("bending", reward_weights=weights)
+
+
+@pytest.mark.parametrize("factor", [1.0, -3.0, 100.0, 0.0])
+def test_no_episode_is_worse_than_divergence(task: Task, factor: float) -> None:
+    """Not even the best one cut short by it, beside the worst that lasts; 1000 where nobody changes the weights.
+
+    What is shown is the arithmetic: by the ranges that a task states, of each step or of the whole episode. Two of
+    them are no theorem: nothing crawls two heights a second, and rods tear before they are six times as long.
+    """
+    weights = {name: factor * weight for name, weight in task.weights.items()}
+    changed = type(task)(task.lattice, 0.05, reward_weights=weights)
+    ranges = {**task.rewards, "effort": RewardTerm(EFFORT_WEIGHT, -1.0, 0.0)}
+    ends = [
+        sorted((weights[name] * term.low * steps, weights[name] * term.high * steps))
+        for name, term in ranges.items()
+        for steps in [1 if term.whole else task.time_limit]
+    ]
+    worst, best = (sum(end[side] for end in ends) for side in (0, 1))
+    assert changed.penalty == pytest.approx(max(LEAST_PENALTY, best - worst), rel=1e-12)
+    if factor == 1.0:
+        assert changed.penalty == LEAST_PENALTY > best - worst
+
+
+def test_penalty_of_a_foreign_task() -> None:
+    """An episode that may end at once earns nothing: 0 counts as a value although the range is below it."""
+    assert Stand(LATTICE, 0.05).penalty == pytest.approx(500 * (2.0 * 3.0 + EFFORT_WEIGHT))
+    assert Stand(LATTICE, 0.05, reward_weights={"height": 0.1}).penalty == LEAST_PENALTY
+    env = LatticeWormEnv(Stand, fidelity="fast", dt=0.005, allow_large_dt=True)
+    env.reset(seed=0)
+    terminated, reward, info = False, 0.0, dict[str, Any]()
+    while not terminated:
+        _, reward, terminated, _, info = env.step(np.ones(env.action_space.shape))
+    assert reward == info["reward_terms"]["divergence"] == -env.task.penalty == -3005.0
+    assert env.task.caption(env.state).startswith("height 0.1")
+
+
+def test_a_range_that_is_not_known_is_told() -> None:
+    """With the figure and the way out; a weight of 0 needs none."""
+    message = r"^stand: .*'height' is -inf to inf.*costs 1000; .*Unbounded.rewards\['height'\] = RewardTerm\(2, low"
+    with pytest.warns(UserWarning, match=message):
+        LatticeWormEnv(Unbounded, fidelity="fast")
+    LatticeWormEnv(Unbounded, fidelity="fast", reward_weights={"height": 0.0})
+
+
+def test_terms_must_be_those_that_were_declared() -> None:
+    """Neither more nor fewer, and none of those of every task."""
+
+    class Wrong(Stand):
+        """Gives another term."""
+
+        def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+            return {"depth": np.zeros(1)}
+
+    with pytest.raises(ValueError, match=r"^Wrong.terms gave depth: must give the terms of its rewards, height"):
+        _terms(Wrong(LATTICE, 0.05), REST, CALM, 0.05)
+
+    class Taken(Stand):
+        """Declares what every task has."""
+
+        rewards: ClassVar[Mapping[str, RewardTerm]] = {"effort": RewardTerm(1.0, -1.0, 0.0)}
+
+    with pytest.raises(ValueError, match=r"^Taken.rewards: effort is a term of every task"):
+        Taken(LATTICE, 0.05)
+
+
+def test_design_for() -> None:
+    """The task's own values, with changes; what is no field is refused."""
+    assert design_for("crawl", height=0.2) == LatticeDesign(base="free", damping=0.003, height=0.2)
+    assert design_for(Stand) == LatticeDesign()
+    with pytest.raises(ValueError, match="speed"):
+        design_for("crawl", speed=1.0)
+
+
+def test_a_design_that_drops_a_value_is_told() -> None:
+    """Once, with field, values and the way out; not where the value was chosen, nor for a dict."""
+    with pytest.warns(UserWarning, match="^design: ") as caught:
+        LatticeWormEnv("transport", LatticeDesign(elements_per_segment=2))
+    (one,) = caught
+    assert str(one.message) == (
+        "design: this LatticeDesign has the default max_tension = 0.5 where transport has max_tension = 1.0: start "
+        "from lattice_gym.design_for('transport', ...); where the default is meant, give it in a dict"
+    )
+    for design in (
+        design_for("transport", elements_per_segment=2),
+        LatticeDesign(max_tension=0.9),
+        {"max_tension": 0.5},
+    ):
+        LatticeWormEnv("transport", design, fidelity="fast")
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_an_id_with_another_time_limit_is_told_once(many: bool) -> None:
+    """Unless it was given by hand: of one worm when the registered limit has ended its first episode."""
+
+    class Nod(Stand):
+        """Told of once in a process, hence a class of its own."""
+
+    def play(steps: int, **arguments: Any) -> None:
+        """Play an episode and begin another."""
+        make: Any = gymnasium.make_vec if many else gymnasium.make
+        env = make("LatticeWorm-v0", task=Nod, fidelity="fast", control_dt=0.005, **arguments)
+        env.reset(seed=0)
+        for _ in range(steps):
+            env.step(np.zeros(env.action_space.shape))
+        env.reset()
+        env.close()
+
+    play(40, max_episode_steps=40)
+    with pytest.warns(UserWarning, match=r"^LatticeWorm-v0 ends episodes after 200 steps, stand is made for 500: "):
+        play(0 if many else 200)
+    play(0 if many else 200)
 
 
 def test_slow_control_steps_cannot_follow() -> None:

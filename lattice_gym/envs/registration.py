@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
+
 import gymnasium
 from gymnasium.envs.registration import EnvSpec
 
 from lattice_gym.checks import shown
 from lattice_gym.tasks.base import GoalTask, Task
 from lattice_gym.tasks.registry import TASKS, resolve_task, task_label
+
+_warned: set[tuple[str, type[Task]]] = set()
 
 DEFAULT_TASK = "peristalsis"
 """Task of the id without a task's name."""
@@ -70,3 +74,21 @@ def register_builtin_tasks() -> None:
         register_task(task, f"LatticeWorm{name.title()}-v0")
         if issubclass(task, GoalTask):
             register_task(task, f"LatticeWorm{name.title()}Goal-v0", goals=True)
+
+
+def warn_of_time_limit(spec: EnvSpec | None, task: type[Task], n_step: int) -> None:
+    """Warn once of an id whose time limit is not its task's, where that has ended an episode after so many steps.
+
+    Whether the limit is the registered one cannot be told before: `gymnasium.make(..., max_episode_steps=...)` leaves
+    the specification of the bare environment as it is.
+    """
+    registered = None if spec is None else gymnasium.registry.get(spec.id)
+    if spec is None or registered is None or (spec.id, task) in _warned:
+        return
+    if n_step == registered.max_episode_steps != task.time_limit:
+        _warned.add((spec.id, task))
+        warnings.warn(
+            f"{spec.id} ends episodes after {n_step} steps, {task.name} is made for {task.time_limit}: give "
+            f"max_episode_steps={task.time_limit}, or an id of its own with lattice_gym.register_task",
+            stacklevel=3,
+        )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pkgutil
+import warnings
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from lattice_gym.body.design import LatticeDesign
@@ -68,6 +70,23 @@ def task_label(task: type[Task]) -> str:
 def design_for(task: str | type[Task], **changes: Any) -> LatticeDesign:
     """Return the design that a task is meant for, with changes by field: `design_for("crawl", height=0.2)`."""
     return LatticeDesign.from_dict({**resolve_task(task).design, **changes})
+
+
+def warn_of_dropped_values(design: LatticeDesign, task: type[Task]) -> None:
+    """Warn of a design that has the default where the task has a value of its own, as if nobody had decided that."""
+    default = LatticeDesign()
+    names = [name for name, own in task.design.items() if getattr(design, name) == getattr(default, name) != own]
+    if names:
+        has, own = (
+            ", ".join(f"{name} = {value(name)!r}" for name in names)
+            for value in (partial(getattr, design), task.design.__getitem__)
+        )
+        label = repr(task.name) if TASKS.get(task.name) is task else task.__name__
+        warnings.warn(
+            f"design: this LatticeDesign has the default {has} where {task.name} has {own}: start from "
+            f"lattice_gym.design_for({label}, ...); where the default is meant, give it in a dict",
+            stacklevel=2,
+        )
 
 
 def gait(task: str | type[Task], lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
