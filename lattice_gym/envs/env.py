@@ -22,6 +22,7 @@ from lattice_gym.envs.episode import Episodes
 from lattice_gym.envs.fidelity import FidelityName, named_fidelity
 from lattice_gym.envs.observation import OBSERVATIONS, Observation, Observer
 from lattice_gym.envs.randomisation import Randomisation, varied
+from lattice_gym.envs.registration import warn_of_time_limit
 from lattice_gym.physics.laws.adaptation import Adaptation
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.hill import Hill
@@ -30,7 +31,7 @@ from lattice_gym.physics.state import Motion, RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.base import Given, Task
-from lattice_gym.tasks.registry import TASKS, make_task
+from lattice_gym.tasks.registry import resolve_task, warn_of_dropped_values
 
 if TYPE_CHECKING:
     from lattice_gym.rendering.scene import Renderer
@@ -154,6 +155,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | all | `effort` | minus 0.01 times the mean squared activation of the muscles |
     | all | `divergence` | 0; or -1000 where the physics diverged, and then all other terms are 0 |
 
+    Numbers here, signs aside, are weights, 1 where there is none: `reward_weights` changes them. The penalty of a
+    divergence is then `task.penalty`: 1000, or more where that is less than the terms can differ by in an episode.
+
     With d the deviation of each ring's radius from rest and t the commanded one, as shares of the rest radius, and sums
     over the n levels that can move, tracking = (sum t^2 - sum (d - t)^2) / (n amplitude^2 / 2 + sum (d - t)^2): 0 for
     doing nothing, sum t^2 / (n amplitude^2 / 2) for following perfectly, which is 1 on average, and never below -1.
@@ -188,8 +192,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | crawl | `direction` along x | -1 or 1 | -1 or 1 |
     | transport | `direction` up the body | -1 or 1 | -1 or 1 |
 
-    A period of the wave must last at least 4 control steps. `tasks.EIGHT_TARGETS` is a command of reach: eight targets
-    on a circle, as in Schaffer et al. (arXiv 2408.16069).
+    A period of the wave must last at least 4 control steps. `tasks.reach.EIGHT_TARGETS` is a command of reach: eight
+    targets on a circle, as in Schaffer et al. (arXiv 2408.16069).
 
     ## Episode end
 
@@ -197,8 +201,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     is not finite, an element inverted or over-stretched, a joint torn or, where asked for, energy from nowhere
     (`energy_check`) or too long a step (`step_check`); see `engines.Status`. Then `info["status"]` names what and
     where, by rod and element, and the observation is the last sound one, again; `time` is that of the control step that
-    failed. The penalty exceeds what lies between the best and the worst episode of registered length in any task, so
-    none that ends well is worth less. The environment never truncates itself: the time limit is registered.
+    failed. The penalty exceeds what lies between the best and the worst episode within the task's time limit, so none
+    that ends well is worth less. The environment never truncates itself: the time limit is registered.
 
     ## Info
 
@@ -252,9 +256,12 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     Arguments
     ---------
     task
-        "extension", "compression", "bending", "peristalsis", "reach", "crawl" or "transport".
+        "extension", "compression", "bending", "peristalsis", "reach", "crawl" or "transport"; or a `Task` of your own:
+        the class, or "module:Class", which a spec as JSON can hold too. An id keeps its time limit whatever the task:
+        `lattice_gym.register_task` makes one that has the task's.
     design
         LatticeDesign; or a dict of what differs from the task's own; None: the task's own, the default one for most.
+        `lattice_gym.design_for("crawl", height=0.2)` is a LatticeDesign that differs from the task's own in the height.
     muscles
         "extension", "compression", "bending", "all", a MuscleLayout or its dict form; None: the task's own.
     control
@@ -291,6 +298,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         own; None: the task's own, nothing at all for most. A part given as a dict changes the task's own part, or where
         that has none the default one; an object replaces it, None takes it away. One that lies needs a free base, crawl
         lies on a ground under gravity, and in crawl and transport worm and ball must come to rest in it.
+    reward_weights
+        Weights of reward terms by name in place of the task's own, "effort" among them: {"effort": 0.02}. The penalty
+        of a divergence rises with them.
     render_mode
         None or "rgb_array".
     adaptation
@@ -325,7 +335,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def __init__(
         self,
-        task: str = "peristalsis",
+        task: str | type[Task] = "peristalsis",
         design: LatticeDesign | Mapping[str, Any] | None = None,
         muscles: str | MuscleLayout | Mapping[str, Any] | None = None,
         control: str | Sequence[int] | IntArray = "muscle",
@@ -345,8 +355,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         adaptation: Adaptation | Mapping[str, Any] | None = None,
         hill: Hill | Mapping[str, Any] | None = None,
         randomise: Mapping[str, Sequence[float]] | None = None,
+        reward_weights: Mapping[str, float] | None = None,
     ) -> None:
-        _check_choice("task", task, tuple(TASKS))
+        kind = resolve_task(task)
         _check_choice("observation", observation, OBSERVATIONS)
         _check_choice("engine", engine, tuple(ENGINES))
         if render_mode is not None:
@@ -354,18 +365,20 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self.control_dt = _number("control_dt", control_dt, SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT, "s")
         self.rhythm = None if rhythm is None else _number("rhythm", rhythm, 0.0, 0.5 / self.control_dt, "Hz")
         preset = named_fidelity(fidelity)
-        self.design = preset.remesh(_design(design, TASKS[task].design))
+        self.design = preset.remesh(_design(design, kind.design))
         self.lattice = build_lattice(self.design)
-        self.layout = resolve_layout(TASKS[task].layout if muscles is None else muscles, self.lattice)
+        self.layout = kind.muscles(self.lattice) if muscles is None else resolve_layout(muscles, self.lattice)
         self.groups = control_groups(control, self.layout, self.lattice)
-        self.world = _world(world, TASKS[task].surroundings, self.lattice)
+        self.world = _world(world, kind.world, self.lattice)
         if self.world.lying and self.design.base == "clamped":
             raise ValueError("world: a worm that lies needs a free base (design.base); on a clamped one it stands")
         self.adaptation = Adaptation.resolve("adaptation", adaptation)
         self.randomisation = Randomisation.resolve(randomise)
         self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))
-        self._given = command
-        self.task = make_task(task, self.lattice, self.control_dt, command, self.model)
+        self._given: dict[str, Any] = {"command": command, "reward_weights": reward_weights}
+        self.task = kind(self.lattice, self.control_dt, model=self.model, **self._given)
+        if isinstance(design, LatticeDesign):
+            warn_of_dropped_values(design, kind)
         preferred: Splitting = "pyelastica" if engine == "pyelastica" else preset.splitting
         self.splitting: Splitting = preferred if splitting is None else splitting
         self.n_substeps, self.dt = self._substeps(dt, allow_large_dt)
@@ -417,6 +430,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode at rest; options hold commanded numbers, by name, for this episode."""
         super().reset(seed=None if seed is None else seed_of(seed))
+        warn_of_time_limit(self.spec, type(self.task), int(self._episode.n_step[0]))
         factors = self._episode.begin(self.np_random, options)
         if factors:
             self._body = varied(self.model, factors)
@@ -491,7 +505,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def episodes(self, n_worm: int) -> Episodes:
         """Make episodes of n worms, each as this environment has one."""
-        task = make_task(self.task.name, self.lattice, self.control_dt, self._given, self.model, n_worm)
+        task = type(self.task)(self.lattice, self.control_dt, model=self.model, n_worm=n_worm, **self._given)
         task.rest = self._start
         return self._episodes(task)
 

@@ -16,10 +16,7 @@ from lattice_gym.physics.laws.activation import followed
 from lattice_gym.physics.laws.adaptation import Adaptation
 from lattice_gym.physics.measures import muscle_strain
 from lattice_gym.physics.state import Motion
-from lattice_gym.tasks.base import Task
-
-DIVERGENCE_PENALTY = 1000.0
-"""More than lies between the best and the worst episode of registered length of any task: to blow up is worse."""
+from lattice_gym.tasks.base import DIVERGENCE, Task
 
 
 class Episodes:
@@ -122,12 +119,12 @@ class Episodes:
             active, strain = 0.5 * (before + after)[:, self._groups], muscle_strain(self.task.model, motion.position)
             used = self._adaptation.used(self.trained, active, self._tension.mean(axis=0), strain, self.task.control_dt)
             self.trained = self.trained.where(sound, used)
-        terms = self.task.terms(motion, self.activation.take(self._groups, axis=-1), self.time)
-        terms["divergence"] = np.zeros(len(sound))
+        terms = self.task.reward_terms(motion, self.activation.take(self._groups, axis=-1), self.time)
+        terms[DIVERGENCE] = np.zeros(len(sound))
         if lost is not None:
             self.task.remind(lost, memory)
             for name, values in terms.items():
-                values[lost] = -DIVERGENCE_PENALTY if name == "divergence" else 0.0
+                values[lost] = -self.task.penalty if name == DIVERGENCE else 0.0
         return terms, ~sound | self.task.over(motion)
 
     def observe(self, motion: Motion) -> tuple[Observation, IntArray]:

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from lattice_gym.checks import FloatArray, shown
 from lattice_gym.envs.env import LatticeWormEnv
-from lattice_gym.tasks.base import GoalTask
-from lattice_gym.tasks.registry import TASKS
+from lattice_gym.tasks.base import DIVERGENCE, GoalTask, Task
+from lattice_gym.tasks.registry import TASKS, resolve_task
 
 
 class LatticeWormGoalEnv(LatticeWormEnv):
@@ -27,10 +27,10 @@ class LatticeWormGoalEnv(LatticeWormEnv):
 
     _goals_apart = True
 
-    def __init__(self, task: str = "reach", **arguments: Any) -> None:
-        if isinstance(task, str) and task in TASKS and not issubclass(TASKS[task], GoalTask):
+    def __init__(self, task: str | type[Task] = "reach", **arguments: Any) -> None:
+        if not issubclass(resolve_task(task), GoalTask):
             having = ", ".join(name for name, kind in TASKS.items() if issubclass(kind, GoalTask))
-            raise ValueError(f"task = {task!r}: has no goals; those that do: {having}")
+            raise ValueError(f"task = {shown(task)}: has no goals; those that do: {having}")
         super().__init__(task, **arguments)
 
     def compute_reward(
@@ -42,11 +42,12 @@ class LatticeWormGoalEnv(LatticeWormEnv):
         shape (n,). The terms that goals do not decide are taken from `reward_terms`; infos without it, and None, count
         the goals alone.
         """
-        own, reward = self._goal_task.goal_term, self._goal_task.goal_reward(achieved_goal, desired_goal)
+        own = self._goal_task.goal_term
+        reward = self._goal_task.weights[own] * self._goal_task.goal_reward(achieved_goal, desired_goal)
         single = np.ndim(reward) == 0
         terms = [entry.get("reward_terms", {}) for entry in _infos(info, np.size(reward))]
         others = np.array([float(sum(value for name, value in entry.items() if name != own)) for entry in terms])
-        diverged = np.array([entry.get("divergence", 0.0) != 0.0 for entry in terms], dtype=bool)
+        diverged = np.array([entry.get(DIVERGENCE, 0.0) != 0.0 for entry in terms], dtype=bool)
         if len(terms) > 1:
             others, diverged = others.reshape(np.shape(reward)), diverged.reshape(np.shape(reward))
         total: FloatArray = np.where(diverged, others, reward + others)
