@@ -19,7 +19,8 @@ from lattice_gym.physics.laws.ball import Bolus
 from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
-from lattice_gym.physics.world import Bolus, Contact, Ground, Medium, World
+from lattice_gym.physics.laws.medium import Medium
+from lattice_gym.physics.world import World
 from lattice_gym.tasks.base import Command, GoalTask, RewardTerm, Task
 from lattice_gym.tasks.gait import Gait, grouped
 from lattice_gym.tasks.registry import design_for, gait

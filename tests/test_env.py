@@ -38,7 +38,6 @@ from lattice_gym.envs.goal import LatticeWormGoalEnv
 from lattice_gym.envs.observation import OBSERVATION_BOUND
 from lattice_gym.physics.laws.activation import advance_activation
 from lattice_gym.physics.laws.ball import Bolus
-from lattice_gym.physics.laws.elasticity import MAX_DILATATION
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.measures import muscle_lengths, site_positions

@@ -21,8 +21,8 @@ from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout
 from lattice_gym.checks import FloatArray, IntArray, finite_number, is_number, shown
 from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.laws.elasticity import MAX_DILATATION
 from lattice_gym.physics.measures import base_frame
-from lattice_gym.physics.rod import MAX_DILATATION
 from lattice_gym.physics.state import Motion, RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model

@@ -10,9 +10,11 @@ import numpy as np
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
 from lattice_gym.checks import TURN, FloatArray, IntArray
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.measures import mass_centre, muscle_lengths
 from lattice_gym.physics.state import Motion
-from lattice_gym.physics.world import Ground, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.tasks.base import COMMAND_BOUND, WAY_WEIGHT, Command, RewardTerm, Task, quotient
 from lattice_gym.tasks.gait import LEAST, MOST, Gait, check_numbers, longitudinal, muscle_middles, needed
 

@@ -11,9 +11,11 @@ import numpy.typing as npt
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
 from lattice_gym.checks import TURN, FloatArray, IntArray
+from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.measures import Lodging, lodging, ring_radii
 from lattice_gym.physics.state import Motion
-from lattice_gym.physics.world import Bolus, Medium, World
+from lattice_gym.physics.world import World
 from lattice_gym.tasks.base import COMMAND_BOUND, GOAL_SCALE, WAY_WEIGHT, Command, RewardTerm, Task, quotient
 from lattice_gym.tasks.gait import LEAST, MOST, Gait, check_numbers, longitudinal, muscle_middles, needed
 
