@@ -12,8 +12,8 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import Muscle, MuscleLayout, horizontal, named_layout, resolve_layout, tie, vertical
 from lattice_gym.envs.env import LatticeWormEnv
-from lattice_gym.envs.goal import LatticeWormGoalEnv
-from lattice_gym.envs.vector import LatticeWormGoalVectorEnv, LatticeWormVectorEnv
+from lattice_gym.envs.goal import LatticeWormGoalEnv, LatticeWormGoalVectorEnv
+from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.physics.laws.adaptation import Adaptation
 from lattice_gym.physics.laws.hill import Hill
 from lattice_gym.physics.world import Bolus, Contact, Ground, Medium, World
@@ -70,7 +70,7 @@ for _task, _limit in _TIME_LIMITS.items():
 register(
     id="LatticeWormReachGoal-v0",
     entry_point="lattice_gym.envs.goal:LatticeWormGoalEnv",
-    vector_entry_point="lattice_gym.envs.vector:LatticeWormGoalVectorEnv",
+    vector_entry_point="lattice_gym.envs.goal:LatticeWormGoalVectorEnv",
     max_episode_steps=_TIME_LIMITS["reach"],
     kwargs={"task": "reach"},
 )

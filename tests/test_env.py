@@ -30,13 +30,16 @@ from lattice_gym.benchmarks.divergence import plan
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.engines.base import Health, Status
+from lattice_gym.engines.base import Engine, Health, Status
+from lattice_gym.engines.fused.pack import Pack
 from lattice_gym.engines.registry import EngineName
-from lattice_gym.envs.env import QUIET, LatticeWormEnv, _world
-from lattice_gym.envs.episode import DIVERGENCE_PENALTY
+from lattice_gym.envs.core import DIVERGENCE_PENALTY
+from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.envs.goal import LatticeWormGoalEnv
-from lattice_gym.envs.observation import OBSERVATION_BOUND
+from lattice_gym.envs.scene import resolve_world
+from lattice_gym.envs.settling import QUIET
+from lattice_gym.envs.terms import MOTION_BOUND
 from lattice_gym.physics.laws.activation import advance_activation
 from lattice_gym.physics.measures import muscle_lengths, site_positions
 from lattice_gym.physics.rod import MAX_DILATATION
@@ -86,6 +89,13 @@ def _refusal(call: Callable[[], object]) -> str | None:
     except ValueError as error:
         return str(error)
     return None
+
+
+def _alone(env: LatticeWormEnv) -> Engine:
+    """Engine of a worm that shares none."""
+    (part,) = env.worms.engine._parts
+    assert not isinstance(part, Pack)
+    return part._engine
 
 
 def _same(first: list[Any], second: list[Any]) -> bool:
@@ -148,17 +158,17 @@ def test_rewards_sum_exactly(id: str) -> None:
 
 
 @pytest.mark.parametrize("id", list(IDS)[1:])
-@pytest.mark.parametrize("observation", ["sites", "nodes"])
-def test_observations(id: str, observation: str) -> None:
+@pytest.mark.parametrize("points", ["sites", "nodes"])
+def test_observations(id: str, points: str) -> None:
     """They share no memory, stay inside their space, and only what is commanded is constant over an episode."""
-    env = _env(id, observation=observation, rhythm=1.3)
+    env = _env(id, observation=[points, "activation", "command", "clock"], rhythm=1.3)
     steps = _episode(env, 30)
     seen = np.array([step[0] for step in steps])
     assert seen.dtype == np.float32
     assert all(step[0] in env.observation_space for step in steps)
     assert not any(np.shares_memory(a[0], b[0]) for a, b in pairwise(steps))
     n_free = {"sites": 54, "nodes": 492} if env.design.base == "free" else {"sites": 48, "nodes": 480}
-    n_moving, n_action = 6 * n_free[observation], env.action_space.shape[0]
+    n_moving, n_action = 6 * n_free[points], env.action_space.shape[0]
     assert seen.shape[1] == n_moving + n_action + len(env.task.bounds) + 2
     constant = np.flatnonzero(np.ptp(seen, axis=0) == 0.0) - n_moving - n_action
     assert constant.tolist() == {"bending": [0, 1], "peristalsis": [2, 3, 4], "crawl": [0], "transport": [0]}.get(
@@ -387,8 +397,8 @@ def test_a_worm_that_crawls_has_settled() -> None:
     np.testing.assert_allclose(env.state.position, start.position, atol=5e-5)
     away = env.state
     away.position[:] += [0.3, -0.1, 0.0]
-    env._state = away
-    observation, _ = env._observe()
+    env.worms.restore(away)
+    observation = env.worms.observe()[0][0]
     np.testing.assert_allclose(observation[: 3 * 54], 0.0, atol=1e-3)
     np.testing.assert_allclose(observation[-2:], [1.0, -1.0], atol=1e-3)
 
@@ -451,11 +461,11 @@ def test_restating_a_world_changes_nothing(task: str) -> None:
     for name, part in own.to_dict().items():
         single = [{field: value} for field, value in part.items()] if isinstance(part, dict) else []
         for stated in (part, *single):
-            assert _world({name: stated}, TASKS[task].surroundings, lattice) == own
-    changed = _world({"medium": {"drag": 0.5}, "bolus": Bolus(friction=0.2)}, TASKS[task].surroundings, lattice)
+            assert resolve_world({name: stated}, TASKS[task].surroundings, lattice) == own
+    changed = resolve_world({"medium": {"drag": 0.5}, "bolus": Bolus(friction=0.2)}, TASKS[task].surroundings, lattice)
     assert own.medium is not None
     assert changed == replace(own, medium=replace(own.medium, drag=0.5), bolus=Bolus(friction=0.2))
-    assert _world({"medium": None, "ground": {}}, TASKS["reach"].surroundings, lattice) == World(ground=Ground())
+    assert resolve_world({"medium": None, "ground": {}}, TASKS["reach"].surroundings, lattice) == World(ground=Ground())
 
 
 @pytest.mark.parametrize(("height", "direction", "held"), [(0.13, 1.0, True), (0.13, -1.0, False), (-0.02, -1.0, True)])
@@ -465,7 +475,7 @@ def test_a_ball_that_has_left_ends_the_episode(height: float, direction: float, 
     env.reset(seed=0)
     state = env.state
     state.bolus_position[0, 2] = height
-    env._engine.restore(state)
+    env.worms.restore(state)
     _, reward, terminated, truncated, info = env.step(np.zeros(15))
     assert (terminated, truncated, info["status"]) == (True, False, "ok")
     assert info["reward_terms"]["lost"] == (0.0 if held else -5.0)
@@ -488,8 +498,9 @@ def test_work_of_muscles(control: str) -> None:
         now = muscle_lengths(env.model, env.state.position)
         work += 0.5 * env.design.max_tension * float((activation + env.activation) @ (length - now))
         length, activation = now, env.activation
-        assert env._engine.ledger is not None
-        booked += env._engine.ledger.muscle_work
+        ledger = _alone(env).ledger
+        assert ledger is not None
+        booked += ledger.muscle_work
     assert work == pytest.approx(booked, rel=0.05)
 
 
@@ -624,7 +635,7 @@ def test_steps_need_a_reset() -> None:
         ({"control_dt": float("inf")}, r"^control_dt = inf"),
         ({"control_dt": 10**400}, r"^control_dt = 1000"),
         ({"control_dt": 0.2}, r"^command: .*4 control steps"),
-        ({"observation": "pixels"}, r"^observation = 'pixels': must be one of sites, nodes"),
+        ({"observation": "pixels"}, r"^observation = 'pixels': must be a list of terms; write \["),
         ({"observation": []}, r"^observation = "),
         ({"task": "crawl", "design": LatticeDesign()}, r"^world: a worm that lies needs a free base"),
         ({"task": "crawl", "design": LatticeDesign(), "world": World()}, r"^design.base = .*must be free"),
@@ -772,17 +783,19 @@ def test_any_engine_failure_is_survived(monkeypatch: pytest.MonkeyPatch) -> None
     env = LatticeWormEnv(design=SMALL, command=SMALL_WAVE)
     env.reset(seed=0)
     env.step(np.ones(N_SMALL))
-    advance, state = env._engine.advance, pickle.dumps(env.state)
+    engine, state = env.worms.engine, pickle.dumps(env.state)
+    advance = engine.advance
 
-    def fail(tension: Any, n_substeps: int) -> Health:
+    def fail(tension: Any, n_substeps: int) -> Any:
         advance(tension, n_substeps)
-        return Health(Status.INVERTED, 4, 2)
+        return np.array([Status.INVERTED])
 
-    monkeypatch.setattr(env._engine, "advance", fail)
+    monkeypatch.setattr(engine, "advance", fail)
+    monkeypatch.setattr(engine, "health", lambda worm: Health(Status.INVERTED, 4, 2))
     _, _, terminated, _, info = env.step(np.zeros(N_SMALL))
     assert terminated
     assert info["status"] == "inverted (rod 4, element 2)"
-    assert pickle.dumps(env.state) == state == pickle.dumps(env._engine.state)
+    assert pickle.dumps(env.state) == state == pickle.dumps(engine.state(0))
     assert env.task.caption(env.state) == ""
 
 
@@ -819,14 +832,14 @@ def test_a_copy_keeps_the_step_check(copied: Any) -> None:
     for _ in range(3):
         env.step(np.ones(N_SMALL))
     twin: LatticeWormEnv = copied(env)
-    assert twin._engine.step_error is None
+    assert _alone(twin).step_error is None
     for action in (np.ones(N_SMALL), np.zeros(N_SMALL)):
         assert _same([env.step(action)], [twin.step(action)])
-        assert twin._engine.step_error not in (None, 0.0, env._engine.step_error)
+        assert _alone(twin).step_error not in (None, 0.0, _alone(env).step_error)
     for one in (env, twin):
         one.reset(seed=0)
         one.step(np.ones(N_SMALL))
-    assert twin._engine.step_error == env._engine.step_error is not None
+    assert _alone(twin).step_error == _alone(env).step_error is not None
 
 
 def test_time_goes_on_where_physics_fails(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -839,7 +852,7 @@ def test_time_goes_on_where_physics_fails(monkeypatch: pytest.MonkeyPatch) -> No
         assert env.time == pytest.approx(0.05 * step)
         before = observation
         if step == 2:
-            monkeypatch.setattr(env._engine, "advance", lambda tension, n_substeps: Health(Status.NON_FINITE, 0, 0))
+            monkeypatch.setattr(env.worms.engine, "advance", lambda *_: np.array([Status.NON_FINITE]))
         if step < 3:
             observation, _, terminated, _, _ = env.step(np.ones(N_SMALL))
     assert terminated
@@ -857,9 +870,10 @@ def test_far_observations_are_clipped_and_counted() -> None:
     far = env.state
     rods = slice(0, env.lattice.n_rod * env.lattice.n_node)
     far.velocity[rods][~np.isin(np.arange(rods.stop), env.model.node_offset)] = 1e6
-    env._state = far
-    observation, clipped = env._observe()
-    assert clipped == np.count_nonzero(np.abs(observation) == OBSERVATION_BOUND) > 0
+    env.worms.restore(far)
+    seen, clipped = env.worms.observe()
+    observation = seen[0]
+    assert clipped[0] == np.count_nonzero(np.abs(observation) == MOTION_BOUND) > 0
     assert observation in env.observation_space
 
 
@@ -892,7 +906,7 @@ def test_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
     again = pickle.loads(pickle.dumps(env)).render()
     np.testing.assert_allclose(again.astype(float), second.astype(float), atol=2.0)
     drawn: list[str] = []
-    monkeypatch.setattr(env._renderer, "update", lambda *arguments: drawn.append(arguments[3]))
+    monkeypatch.setattr(env._pictures.renderer, "update", lambda *arguments: drawn.append(arguments[3]))
     env.render()
     assert drawn == [env.task.caption(env.state)]
     assert drawn[0].startswith("strain +")

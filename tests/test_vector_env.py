@@ -20,9 +20,10 @@ from hypothesis import strategies as st
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.checks import FloatArray
+from lattice_gym.envs.core import DIVERGENCE_PENALTY
 from lattice_gym.envs.env import LatticeWormEnv
-from lattice_gym.envs.episode import DIVERGENCE_PENALTY
-from lattice_gym.envs.vector import LatticeWormGoalVectorEnv, LatticeWormVectorEnv
+from lattice_gym.envs.goal import LatticeWormGoalVectorEnv
+from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.tasks.registry import TASKS
 
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
