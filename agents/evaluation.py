@@ -23,7 +23,8 @@ from agents.environments import Env, make_env
 from agents.run_folder import Run
 from agents.training import gathered, load_model, load_normaliser, worm_seeds
 from lattice_gym.envs.fidelity import FidelityName
-from lattice_gym.tasks.gaits import gait, grouped
+from lattice_gym.tasks.gait import grouped
+from lattice_gym.tasks.registry import gait
 
 PolicyName = Literal["policy", "gait", "nothing", "random"]
 POLICIES: dict[PolicyName, str] = {

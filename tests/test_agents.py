@@ -51,8 +51,7 @@ from lattice_gym.body.lattice import build_lattice
 from lattice_gym.recording.files import replacing
 from lattice_gym.recording.trajectory import Trajectory
 from lattice_gym.rendering.extras import extra
-from lattice_gym.tasks.gaits import gait
-from lattice_gym.tasks.registry import TASKS
+from lattice_gym.tasks.registry import TASKS, gait
 
 ROOT = Path(__file__).parent.parent
 TINY = TrainConfig(
@@ -527,7 +526,7 @@ def test_new_worlds_are_learned_in(task: Task, tmp_path: Path) -> None:
     design = json.loads((run.path / "design.json").read_text())
     assert LatticeDesign.from_dict(design) == LatticeDesign(**TASKS[task].design)
     trajectory = record(run, "gait")
-    assert trajectory.world == TASKS[task].surroundings(build_lattice(trajectory.design))
+    assert trajectory.world == TASKS[task].world(build_lattice(trajectory.design))
     assert trajectory.bolus is not None
     assert trajectory.bolus.shape == (trajectory.n_frame, 1 if task == "transport" else 0, 3)
     assert trajectory.markers is not None

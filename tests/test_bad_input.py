@@ -58,8 +58,7 @@ from lattice_gym.physics.rod import Rod, straight_rod
 from lattice_gym.physics.world import Bolus, Contact, Ground, Medium, World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.recording.trajectory import Recorder, Trajectory
-from lattice_gym.tasks.gaits import gait
-from lattice_gym.tasks.registry import TASKS
+from lattice_gym.tasks.registry import TASKS, gait
 
 HANG = 30.0
 """A call that takes longer hangs [s]."""

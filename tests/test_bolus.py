@@ -27,7 +27,7 @@ from lattice_gym.physics.stable_step import SAFETY, default_dt, stable_dt
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import Bolus, Ground, Medium, World
 from lattice_gym.physics.worm import build_model
-from lattice_gym.tasks.gaits import gait
+from lattice_gym.tasks.registry import gait
 from lattice_gym.tasks.transport import Transport
 
 ROD: dict[str, Any] = {"radius": 0.01, "density": 1000.0, "youngs_modulus": 1e7, "shear_modulus": 4e6}
@@ -318,7 +318,7 @@ def test_a_wave_carries_alike() -> None:
     """On both engines a wave carries the ball to the same place, and the books close."""
     lattice = build_lattice(LatticeDesign(**SMALL, max_tension=1.0))
     layout = named_layout("all", lattice)
-    model = build_model(lattice, layout, Transport.surroundings(lattice))
+    model = build_model(lattice, layout, Transport.world(lattice))
     dt = default_dt(model, 0.05, 1.0)
     engines = [make_engine(name, model, dt, energy_check=True) for name in ("fused", "pyelastica")]
     entries = carried(engines, lattice, layout, 0.5)
@@ -339,7 +339,7 @@ def test_a_wave_keeps_momentum(engine_name: EngineName) -> None:
     design = LatticeDesign(**SMALL, max_tension=1.0, base="free", damping=0.0, rotational_damping=0.0)
     lattice = build_lattice(design)
     layout = named_layout("all", lattice)
-    bolus = Transport.surroundings(lattice).bolus
+    bolus = Transport.world(lattice).bolus
     model = build_model(lattice, layout, World(bolus=bolus))
     engine = make_engine(engine_name, model, default_dt(model, 0.05, 1.0), energy_check=True)
     carried([engine], lattice, layout, 0.2)

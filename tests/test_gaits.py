@@ -13,18 +13,13 @@ from hypothesis import strategies as st
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import MuscleLayout, control_groups, named_layout, tie
-from lattice_gym.tasks.gaits import (
-    FULL_DRIVE_AMPLITUDE,
-    LEAD,
-    TASKS_WITH_GAITS,
-    Gait,
-    bending_gait,
-    carrying_gait,
-    crawling_gait,
-    gait,
-    grouped,
-    peristalsis_gait,
-)
+from lattice_gym.tasks.axial import AxialTask
+from lattice_gym.tasks.bending import bending_gait
+from lattice_gym.tasks.crawl import crawling_gait
+from lattice_gym.tasks.gait import LEAD, Gait, grouped
+from lattice_gym.tasks.peristalsis import FULL_DRIVE_AMPLITUDE, peristalsis_gait
+from lattice_gym.tasks.registry import TASKS, gait
+from lattice_gym.tasks.transport import carrying_gait
 
 LATTICE = build_lattice(LatticeDesign())
 ALL = named_layout("all", LATTICE)
@@ -74,7 +69,7 @@ def test_peristalsis_moves_up() -> None:
 
 
 @given(
-    task=st.sampled_from(TASKS_WITH_GAITS),
+    task=st.sampled_from(list(TASKS)),
     layout=st.sampled_from(["extension", "compression", "bending", "all"]),
     time=st.floats(0.0, 1e4),
     amplitude=st.floats(0.001, 0.5),
@@ -163,6 +158,19 @@ def test_gaits_made_by_hand_must_be_finite() -> None:
         Gait(offset=one, swing=one * np.nan, phase=one)
     with pytest.raises(ValueError, match=r"^frequency = nan"):
         Gait(offset=one, swing=one, phase=one, frequency=float("nan"))
+
+
+def test_a_task_without_a_gait() -> None:
+    """The error says so."""
+
+    class Still(AxialTask):
+        """Nothing made by hand."""
+
+        name = "still"
+        sign = 1.0
+
+    with pytest.raises(ValueError, match=r"^task = .*Still'>: still has no gait"):
+        gait(Still, LATTICE, ALL, {})
 
 
 def test_grouped_needs_one_command_a_muscle() -> None:

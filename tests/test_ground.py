@@ -20,7 +20,7 @@ from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import Ground, Medium, World
 from lattice_gym.physics.worm import build_model
-from lattice_gym.tasks.gaits import gait
+from lattice_gym.tasks.registry import gait
 
 BY_DIRECTION = Ground(forward=0.4, backward=1.5, sideways=0.8, static_friction=0.6)
 SOFT = {"radius": 0.1, "density": 1000.0, "youngs_modulus": 1e-7, "shear_modulus": 4e-8}

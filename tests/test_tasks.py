@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -15,18 +16,17 @@ from hypothesis import strategies as st
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.checks import FloatArray
+from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.physics.measures import muscle_lengths, top_centre
 from lattice_gym.physics.state import Motion, RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
-from lattice_gym.tasks.base import EFFORT_WEIGHT, Task
-from lattice_gym.tasks.gaits import FULL_DRIVE_AMPLITUDE, gait
-from lattice_gym.tasks.peristalsis import Peristalsis
+from lattice_gym.tasks.base import EFFORT_WEIGHT, LEAST_PENALTY, RewardTerm, Task
+from lattice_gym.tasks.peristalsis import FULL_DRIVE_AMPLITUDE, Peristalsis
 from lattice_gym.tasks.reach import EIGHT_TARGETS
-from lattice_gym.tasks.registry import TASKS, make_task
+from lattice_gym.tasks.registry import TASKS, design_for, gait, resolve_task, task_label
 
 LATTICE = build_lattice(LatticeDesign())
 MODEL = build_model(LATTICE, named_layout("all", LATTICE))
@@ -42,7 +42,7 @@ def _at(position: FloatArray) -> RodState:
 
 def _terms(task: Task, state: RodState, activation: FloatArray, time: float) -> dict[str, float]:
     """Terms of the only worm."""
-    terms = task.terms(Motion.of(state), activation[None], np.array([time]))
+    terms = task.reward_terms(Motion.of(state), activation[None], np.array([time]))
     return {name: value.item() for name, value in terms.items()}
 
 
@@ -64,17 +64,8 @@ def _over(task: Task, state: RodState) -> bool:
 
 REST = _at(SHAPE)
 CALM = np.zeros(90)
-CARRIER = build_model(LATTICE, named_layout("all", LATTICE), TASKS["transport"].surroundings(LATTICE))
+CARRIER = build_model(LATTICE, named_layout("all", LATTICE), TASKS["transport"].world(LATTICE))
 WAVE = {"speed": 0.1, "wavelength": 0.1, "amplitude": 0.05, "phase": 0.0}
-EPISODE = {
-    "extension": 40,
-    "compression": 40,
-    "bending": 40,
-    "peristalsis": 200,
-    "reach": 60,
-    "crawl": 200,
-    "transport": 200,
-}
 LEAST = {"reach": 0.08, "crawl": 0.02, "transport": 0.03}
 """What gaits earn a step at least; else 0.15."""
 
@@ -100,7 +91,7 @@ def _play(
     env, rewards, info = LatticeWormEnv(task, command=command), [], dict[str, Any]()
     env.reset(seed=0)
     env.action_space.seed(0)
-    for _ in range(EPISODE[task]):
+    for _ in range(TASKS[task].time_limit):
         _, reward, terminated, _, info = env.step(act(env))
         rewards.append(reward)
         if terminated:
@@ -112,15 +103,15 @@ def _play(
 @pytest.fixture(params=list(TASKS))
 def task(request: pytest.FixtureRequest) -> Task:
     """Build each task, with its own changes to the default design."""
-    lattice = build_lattice(LatticeDesign(**TASKS[request.param].design))
-    return make_task(request.param, lattice, 0.05)
+    lattice = build_lattice(design_for(request.param))
+    return TASKS[request.param](lattice, 0.05)
 
 
 def test_terms_have_their_names(task: Task) -> None:
     """In order; an outcome is not the reward; what is observed has its bounds; rest earns zero."""
     task.begin(np.random.default_rng(0), None)
     terms = _terms(task, task.rest, CALM, 0.05)
-    assert tuple(terms) == task.term_names
+    assert tuple(terms) == (*task.rewards, "effort")
     assert sum(terms.values()) == pytest.approx(0.0, abs=1e-12)
     assert _observe(task, task.rest, 0.05).shape == (len(task.bounds),)
     assert all(isinstance(value, float) for value in {**terms, **_outcome(task, task.rest)}.values())
@@ -137,7 +128,7 @@ def test_length(stretch: float) -> None:
     """Extension pays the strain, compression its opposite; the outcome is the same."""
     state = _at(SHAPE * [1.0, 1.0, 1.0 + stretch])
     for name, sign in (("extension", 1.0), ("compression", -1.0)):
-        task = make_task(name, LATTICE, 0.05)
+        task = TASKS[name](LATTICE, 0.05)
         assert _terms(task, state, CALM, 0.0)["strain"] == pytest.approx(sign * stretch, abs=1e-12)
         assert _outcome(task, state)["strain"] == pytest.approx(stretch, abs=1e-12)
 
@@ -145,7 +136,7 @@ def test_length(stretch: float) -> None:
 @given(angle=st.floats(0.01, 3.0), azimuth=st.floats(0.0, 6.28), command=st.floats(-6.28, 6.28))
 def test_bending(angle: float, azimuth: float, command: float) -> None:
     """The part of the bend along the command counts, the part across counts against."""
-    task = make_task("bending", LATTICE, 0.05, {"azimuth": command})
+    task = TASKS["bending"](LATTICE, 0.05, {"azimuth": command})
     terms, outcome = _terms(task, _tipped(angle, azimuth), CALM, 0.0), _outcome(task, _tipped(angle, azimuth))
     assert terms["bend"] == pytest.approx(angle * np.cos(azimuth - command), abs=1e-9)
     assert terms["sideways"] == pytest.approx(-angle * abs(np.sin(azimuth - command)), abs=1e-9)
@@ -162,7 +153,7 @@ def test_bending(angle: float, azimuth: float, command: float) -> None:
 )
 def test_reach(moved: tuple[float, ...], azimuth: float, radius: float, rise: float) -> None:
     """What is earned is how much nearer the target is, in heights, wherever the whole body goes."""
-    task = make_task("reach", LATTICE, 0.05, {"azimuth": azimuth, "radius": radius, "rise": rise}, MODEL)
+    task = TASKS["reach"](LATTICE, 0.05, {"azimuth": azimuth, "radius": radius, "rise": rise}, MODEL)
     target = 0.1 * np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), rise])
     state, near = _at(SHAPE + moved), float(np.linalg.norm(target - moved))
     terms, outcome = _terms(task, state, CALM, 0.35), _outcome(task, state)
@@ -178,7 +169,7 @@ def test_reach_lies_down() -> None:
     """A target lies down with the body."""
     lattice = build_lattice(LatticeDesign(base="free"))
     model = build_model(lattice, named_layout("all", lattice), World(lying=True))
-    task = make_task("reach", lattice, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": -0.1}, model)
+    task = TASKS["reach"](lattice, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": -0.1}, model)
     state = model.rest_state()
     state.position[:] += [-0.01, 0.0, -0.02]  # along the axis, which is x now, and along what was x, which is down
     assert _terms(task, state, CALM, 0.0)["approach"] == pytest.approx(np.hypot(0.2, 0.1), abs=1e-6)
@@ -186,7 +177,7 @@ def test_reach_lies_down() -> None:
 
 
 def _crawl(**command: float) -> Task:
-    return make_task("crawl", build_lattice(LatticeDesign(**TASKS["crawl"].design)), 0.05, command)
+    return TASKS["crawl"](build_lattice(design_for("crawl")), 0.05, command)
 
 
 @given(way=st.floats(-0.05, 0.05), aside=st.floats(-0.05, 0.05), direction=st.sampled_from([-1.0, 1.0]))
@@ -251,7 +242,7 @@ def test_the_crawling_gait_crawls_both_ways(direction: float) -> None:
 @settings(deadline=None)
 def test_transport(height: float, off: float, angle: float, up: float) -> None:
     """Ten for a height along the command; out by the commanded end is delivered, by another way lost."""
-    task = make_task("transport", LATTICE, 0.05, {"direction": up}, CARRIER)
+    task = TASKS["transport"](LATTICE, 0.05, {"direction": up}, CARRIER)
     task.begin(np.random.default_rng(0), None)
     state = task.rest.copy()
     state.bolus_position[:] = [off * np.cos(angle), off * np.sin(angle), height]
@@ -302,7 +293,7 @@ def test_eight_targets_are_reached() -> None:
 @given(share=st.floats(-1.0, 2.0), phase=st.floats(-6.0, 6.0), time=st.floats(0.0, 5.0), up=st.booleans())
 def test_tracking(share: float, phase: float, time: float, up: bool) -> None:
     """A share s of the commanded wave earns (2 s - s^2) / (1 + (1 - s)^2): 1 for all, -3/5 for its opposite."""
-    task = make_task("peristalsis", LATTICE, 0.05, WAVE | {"speed": 0.1 if up else -0.1, "phase": phase})
+    task = TASKS["peristalsis"](LATTICE, 0.05, WAVE | {"speed": 0.1 if up else -0.1, "phase": phase})
     assert isinstance(task, Peristalsis)
     # The 8 levels span one wavelength, so sums over them do not depend on the time.
     target = 0.05 * np.cos(2 * np.pi * ((1 if up else -1) * time - np.arange(1, 9) / 8) + phase)
@@ -316,14 +307,14 @@ def test_tracking_is_bounded(deviation: list[float], wave: int) -> None:
     """From -1 to 2 whatever the rings do and whatever wave may be asked for."""
     rng = np.random.default_rng(wave)
     command = {"speed": 0.08, "wavelength": rng.uniform(0.04, 1.0), "amplitude": rng.uniform(0.001, 0.5)}
-    task = make_task("peristalsis", LATTICE, 0.05, command | {"phase": rng.uniform(-6.0, 6.0)})
+    task = TASKS["peristalsis"](LATTICE, 0.05, command | {"phase": rng.uniform(-6.0, 6.0)})
     assert -1.0 <= _terms(task, _widened(np.array(deviation)), CALM, 0.3)["tracking"] <= 2.0
 
 
 @given(seed=st.integers(0, 1000), size=st.floats(1e-3, 0.5))
 def test_no_still_shape_follows_a_wave(seed: int, size: float) -> None:
     """Over a whole period any fixed deviation costs, and none costs more than 1 a step."""
-    task = make_task("peristalsis", LATTICE, 0.05, WAVE)
+    task = TASKS["peristalsis"](LATTICE, 0.05, WAVE)
     deviation = np.random.default_rng(seed).uniform(-size, size, 8)
     earned = [_terms(task, _widened(deviation), CALM, 0.05 * k)["tracking"] for k in range(20)]
     assert -1.0 <= np.mean(earned) < 0.0
@@ -341,7 +332,7 @@ def test_holding_all_rings_costs_little() -> None:
 
 def test_the_wave_is_measured_over_two_periods() -> None:
     """Nothing before, then the commanded wave's index, direction and speed; a new episode forgets."""
-    task = make_task("peristalsis", LATTICE, 0.05, WAVE | {"speed": -0.1})
+    task = TASKS["peristalsis"](LATTICE, 0.05, WAVE | {"speed": -0.1})
     assert isinstance(task, Peristalsis)
     task.begin(np.random.default_rng(0), None)
     for step in range(1, 41):
@@ -391,21 +382,21 @@ def test_a_vanishing_gait_makes_no_wave(drive: float, travels: bool) -> None:
 
 def test_captions() -> None:
     """Units, and what was asked beside what came; what stands upright leans no way."""
-    assert make_task("extension", LATTICE, 0.05).caption(_at(SHAPE * [1.0, 1.0, 1.311])) == "strain +31.1 %"
-    assert make_task("compression", LATTICE, 0.05).caption(_at(SHAPE * [1.0, 1.0, 0.8])) == "strain -20.0 %"
-    bending = make_task("bending", LATTICE, 0.05, {"azimuth": np.radians(-270.0)})
+    assert TASKS["extension"](LATTICE, 0.05).caption(_at(SHAPE * [1.0, 1.0, 1.311])) == "strain +31.1 %"
+    assert TASKS["compression"](LATTICE, 0.05).caption(_at(SHAPE * [1.0, 1.0, 0.8])) == "strain -20.0 %"
+    bending = TASKS["bending"](LATTICE, 0.05, {"azimuth": np.radians(-270.0)})
     tipped = _tipped(np.radians(24.6), np.radians(92.0))
     assert bending.caption(tipped) == "bend 24.6 deg towards 92 deg (asked: 90 deg)"
     assert bending.caption(_tipped(0.1, np.radians(359.7))) == "bend 5.7 deg towards 0 deg (asked: 90 deg)"
     assert bending.caption(REST) == "bend 0.0 deg (asked: 90 deg)"
-    transport = make_task("transport", LATTICE, 0.05, {"direction": 1.0}, CARRIER)
+    transport = TASKS["transport"](LATTICE, 0.05, {"direction": 1.0}, CARRIER)
     state = transport.rest.copy()
     for height, end in ((0.06, ""), (0.101, ", delivered"), (-0.01, ", lost")):
         state.bolus_position[0, 2] = height
         _terms(transport, state, CALM, 2.0)
         way = 1e3 * (min(max(height, 0.0), 0.1) - 0.05625)
         assert transport.caption(state) == f"{way:+.1f} mm up at {way / 2:.1f} mm/s{end}"
-    reach = make_task("reach", LATTICE, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": 0.0})
+    reach = TASKS["reach"](LATTICE, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": 0.0})
     assert reach.caption(REST) == "20.0 mm from the target"
     there = _at(SHAPE + np.array([0.02, 0.0, 0.0]))
     _terms(reach, there, CALM, 1.5)
@@ -433,28 +424,28 @@ def test_bounds_of_commands_are_reached(height: float) -> None:
         ("phase", 2 * np.pi, 1.001, {}),
         ("phase", -2 * np.pi, 1.001, {}),
     ):
-        task = make_task("peristalsis", lattice, 0.05, rest | {name: value})
+        task = TASKS["peristalsis"](lattice, 0.05, rest | {name: value})
         task.begin(np.random.default_rng(0), {name: value})
         assert np.all(np.abs(_observe(task, REST, 0.0).astype(np.float32)) <= np.array(task.bounds, dtype=np.float32))
         with pytest.raises(ValueError, match=rf"^command\['{name}'\]"):
-            make_task("peristalsis", lattice, 0.05, rest | {name: outwards * value})
+            TASKS["peristalsis"](lattice, 0.05, rest | {name: outwards * value})
     for azimuth in (2 * np.pi, -2 * np.pi):
-        make_task("bending", lattice, 0.05, {"azimuth": azimuth})
+        TASKS["bending"](lattice, 0.05, {"azimuth": azimuth})
 
 
 @pytest.mark.parametrize("command", [{"speed": 0.01, "wavelength": 0.1}, {"wavelength": 0.0375, "speed": 0.1}])
 def test_bounds_of_the_default_design(command: dict[str, float]) -> None:
     """A tenth of a height a second, and three level spacings."""
-    make_task("peristalsis", LATTICE, 0.05, command)
+    TASKS["peristalsis"](LATTICE, 0.05, command)
 
 
 def test_a_free_body_is_not_paid_for_tilting() -> None:
     """Tipped over whole it neither bends, stretches nor shrinks; the same body on a clamped base bends."""
     lattice = build_lattice(LatticeDesign(base="free"))
     for name, term in (("bending", "bend"), ("extension", "strain"), ("compression", "strain")):
-        terms = _terms(make_task(name, lattice, 0.05), _tipped(0.7, 1.0), CALM, 0.0)
+        terms = _terms(TASKS[name](lattice, 0.05), _tipped(0.7, 1.0), CALM, 0.0)
         assert terms[term] == pytest.approx(0.0, abs=1e-12)
-    clamped = make_task("bending", LATTICE, 0.05, {"azimuth": 1.0})
+    clamped = TASKS["bending"](LATTICE, 0.05, {"azimuth": 1.0})
     assert _terms(clamped, _tipped(0.7, 1.0), CALM, 0.0)["bend"] > 0.69
 
 
@@ -474,7 +465,7 @@ def test_commands_are_drawn_within_their_ranges(task: Task) -> None:
 
 def test_lists_are_drawn_from() -> None:
     """Every number of them, and nothing else; the others stay as they were."""
-    free, few = make_task("bending", LATTICE, 0.05), make_task("bending", LATTICE, 0.05, {"azimuth": [0.0, 1.0, 2.0]})
+    free, few = TASKS["bending"](LATTICE, 0.05), TASKS["bending"](LATTICE, 0.05, {"azimuth": [0.0, 1.0, 2.0]})
     drawn = []
     for seed in range(30):
         few.begin(np.random.default_rng(seed), None)
@@ -485,14 +476,14 @@ def test_lists_are_drawn_from() -> None:
     hostile: list[Any] = [[], [0.0, 7.0], [[0.0]], ["north"]]
     for wrong in hostile:
         with pytest.raises(ValueError, match=r"^command\['azimuth'\] = "):
-            make_task("bending", LATTICE, 0.05, {"azimuth": wrong})
+            TASKS["bending"](LATTICE, 0.05, {"azimuth": wrong})
     with pytest.raises(ValueError, match=r"^command: .*4 control steps"):
-        make_task("peristalsis", LATTICE, 0.05, {"speed": [0.1, 0.9]})
+        TASKS["peristalsis"](LATTICE, 0.05, {"speed": [0.1, 0.9]})
 
 
 def test_fixed_commands_leave_the_others_alone() -> None:
     """The constructor fixes for good, options for one episode, and what is drawn does not shift."""
-    free, held = make_task("peristalsis", LATTICE, 0.05), make_task("peristalsis", LATTICE, 0.05, {"speed": -0.09})
+    free, held = TASKS["peristalsis"](LATTICE, 0.05), TASKS["peristalsis"](LATTICE, 0.05, {"speed": -0.09})
     for task in (free, held):
         task.begin(np.random.default_rng(3), {"wavelength": 0.11})
     assert held.command == free.command | {"speed": -0.09, "wavelength": 0.11}
@@ -523,8 +514,8 @@ def test_fixed_commands_leave_the_others_alone() -> None:
 def test_wrong_commands(name: str, command: Any, message: str) -> None:
     """At construction and, under its other name, at reset; a refused reset leaves the task as it was."""
     with pytest.raises(ValueError, match=message):
-        make_task(name, LATTICE, 0.05, command)
-    task = make_task(name, LATTICE, 0.05)
+        TASKS[name](LATTICE, 0.05, command)
+    task = TASKS[name](LATTICE, 0.05)
     before = dict(task.command)
     with pytest.raises(ValueError, match=message.replace("command", "options", 1)):
         task.begin(np.random.default_rng(0), command)
@@ -551,20 +542,221 @@ def test_wrong_commands(name: str, command: Any, message: str) -> None:
 def test_lattices_that_cannot(name: str, design: LatticeDesign, message: str) -> None:
     """The error says what the lattice lacks."""
     with pytest.raises(ValueError, match=message):
-        make_task(name, build_lattice(design), 0.05)
+        TASKS[name](build_lattice(design), 0.05)
 
 
-def test_unknown_tasks() -> None:
-    """The error lists the tasks."""
-    with pytest.raises(ValueError, match=r"^task = 'swimming': must be one of extension, compression, bending, peri"):
-        make_task("swimming", LATTICE, 0.05)
+class Stand(Task):
+    """The least that a task must have: be paid for nothing but lying low."""
+
+    name = "stand"
+    time_limit = 500
+    rewards: ClassVar[Mapping[str, RewardTerm]] = {"height": RewardTerm(2.0, -3.0, -1.0)}
+
+    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+        """Minus the greatest height."""
+        return {"height": -motion.position[:, :, 2].max(axis=-1) / 0.1}
+
+    def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
+        """Greatest height [m]."""
+        return {"height": motion.position[:, :, 2].max(axis=-1)}
+
+
+class Unbounded(Stand):
+    """As `Stand`, without a range."""
+
+    rewards: ClassVar[Mapping[str, RewardTerm]] = {"height": RewardTerm(2.0)}
+
+
+class Abstract(Task):
+    """No task: it has a name only."""
+
+    name = "abstract"
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        ("swimming", r"^task = 'swimming': must be one of extension, compression, bending, peri"),
+        (None, r"^task = None: must be one of"),
+        (["bending"], r"^task = \['bending'\]: must be one of"),
+        (LatticeDesign, r"^task = <class .*LatticeDesign'>: must be one of"),
+        ("json:loads", r"^task = 'json:loads': must be one of .* a Task subclass"),
+        ("json:nothing", r"^task = 'json:nothing': cannot be imported: AttributeError"),
+        ("no_such_module:Task", r"^task = 'no_such_module:Task': cannot be imported: ModuleNotFoundError"),
+        (":", r"^task = ':': cannot be imported"),
+        (Abstract, r"^task = <class .*Abstract'>: lacks time_limit, rewards, outcome, terms"),
+        ("lattice_gym.tasks.base:Task", r"^task = .* lacks name, time_limit, rewards, outcome, terms"),
+    ],
+)
+def test_what_is_no_task(task: Any, message: str) -> None:
+    """The error says what would be one, or what is missing."""
+    with pytest.raises(ValueError, match=message):
+        resolve_task(task)
+
+
+def test_tasks_by_class_and_by_string() -> None:
+    """A name, a class and "module:Class" are the same."""
+    for name, kind in TASKS.items():
+        assert resolve_task(name) is resolve_task(kind) is resolve_task(f"{kind.__module__}:{kind.__name__}") is kind
+        assert task_label(kind) == name
+    assert resolve_task(task_label(Stand)) is Stand
+
+    class Local(Stand):
+        """Cannot be imported."""
+
+    assert resolve_task(Local) is Local
+    with pytest.raises(ValueError, match=r"^task = .*Local'>: cannot be imported as"):
+        task_label(Local)
+
+
+def test_reward_weights() -> None:
+    """They change their terms and nothing else; 0 takes a term away, and less than 0 turns it round."""
+    weights = {"sideways": 3.0, "effort": 0.0}
+    plain, changed = TASKS["bending"](LATTICE, 0.05), TASKS["bending"](LATTICE, 0.05, reward_weights=weights)
+    assert changed.weights == {"bend": 1.0, "sideways": 3.0, "effort": 0.0}
+    state, active = _tipped(0.5, 1.0), np.full(90, 0.5)
+    own, other = _terms(plain, state, active, 0.05), _terms(changed, state, active, 0.05)
+    assert other == own | {"sideways": 3.0 * own["sideways"], "effort": 0.0}
+    turned = TASKS["bending"](LATTICE, 0.05, reward_weights={"bend": -1})
+    assert _terms(turned, state, active, 0.05)["bend"] == -own["bend"]
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ({"speed": 1.0}, r"^reward_weights: bending has no 'speed'; its terms are bend, sideways, effort$"),
+        ({"divergence": 1.0}, r"^reward_weights: bending has no 'divergence'"),
+        ({"bend": "much"}, r"^reward_weights\['bend'\] = 'much': must be a number from -1e\+06 to 1e\+06$"),
+        ({"bend": True}, r"^reward_weights\['bend'\] = True"),
+        ({"bend": float("nan")}, r"^reward_weights\['bend'\] = nan"),
+        ({"bend": 1e7}, r"^reward_weights\['bend'\] = 10000000.0"),
+        ([1.0], r"^reward_weights = \[1.0\]: must be a mapping"),
+    ],
+)
+def test_wrong_reward_weights(weights: Any, message: str) -> None:
+    """The error names the known terms."""
+    with pytest.raises(ValueError, match=message):
+        TASKS["bending"](LATTICE, 0.05, reward_weights=weights)
+    with pytest.raises(ValueError, match=message):
+        LatticeWormEnv("bending", reward_weights=weights)
+
+
+@pytest.mark.parametrize("factor", [1.0, -3.0, 100.0, 0.0])
+def test_no_episode_is_worse_than_divergence(task: Task, factor: float) -> None:
+    """Not even the best one cut short by it, beside the worst that lasts; 1000 where nobody changes the weights.
+
+    What is shown is the arithmetic: by the ranges that a task states, of each step or of the whole episode. Two of
+    them are no theorem: nothing crawls two heights a second, and rods tear before they are six times as long.
+    """
+    weights = {name: factor * weight for name, weight in task.weights.items()}
+    changed = type(task)(task.lattice, 0.05, reward_weights=weights)
+    ranges = {**task.rewards, "effort": RewardTerm(EFFORT_WEIGHT, -1.0, 0.0)}
+    ends = [
+        sorted((weights[name] * term.low * steps, weights[name] * term.high * steps))
+        for name, term in ranges.items()
+        for steps in [1 if term.whole else task.time_limit]
+    ]
+    worst, best = (sum(end[side] for end in ends) for side in (0, 1))
+    assert changed.penalty == pytest.approx(max(LEAST_PENALTY, best - worst), rel=1e-12)
+    if factor == 1.0:
+        assert changed.penalty == LEAST_PENALTY > best - worst
+
+
+def test_penalty_of_a_foreign_task() -> None:
+    """An episode that may end at once earns nothing: 0 counts as a value although the range is below it."""
+    assert Stand(LATTICE, 0.05).penalty == pytest.approx(500 * (2.0 * 3.0 + EFFORT_WEIGHT))
+    assert Stand(LATTICE, 0.05, reward_weights={"height": 0.1}).penalty == LEAST_PENALTY
+    env = LatticeWormEnv(Stand, fidelity="fast", dt=0.005, allow_large_dt=True)
+    env.reset(seed=0)
+    terminated, reward, info = False, 0.0, dict[str, Any]()
+    while not terminated:
+        _, reward, terminated, _, info = env.step(np.ones(env.action_space.shape))
+    assert reward == info["reward_terms"]["divergence"] == -env.task.penalty == -3005.0
+    assert env.task.caption(env.state).startswith("height 0.1")
+
+
+def test_a_range_that_is_not_known_is_told() -> None:
+    """With the figure and the way out; a weight of 0 needs none."""
+    message = r"^stand: .*'height' is -inf to inf.*costs 1000; .*Unbounded.rewards\['height'\] = RewardTerm\(2, low"
+    with pytest.warns(UserWarning, match=message):
+        LatticeWormEnv(Unbounded, fidelity="fast")
+    LatticeWormEnv(Unbounded, fidelity="fast", reward_weights={"height": 0.0})
+
+
+def test_terms_must_be_those_that_were_declared() -> None:
+    """Neither more nor fewer, and none of those of every task."""
+
+    class Wrong(Stand):
+        """Gives another term."""
+
+        def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+            return {"depth": np.zeros(1)}
+
+    with pytest.raises(ValueError, match=r"^Wrong.terms gave depth: must give the terms of its rewards, height"):
+        _terms(Wrong(LATTICE, 0.05), REST, CALM, 0.05)
+
+    class Taken(Stand):
+        """Declares what every task has."""
+
+        rewards: ClassVar[Mapping[str, RewardTerm]] = {"effort": RewardTerm(1.0, -1.0, 0.0)}
+
+    with pytest.raises(ValueError, match=r"^Taken.rewards: effort is a term of every task"):
+        Taken(LATTICE, 0.05)
+
+
+def test_design_for() -> None:
+    """The task's own values, with changes; what is no field is refused."""
+    assert design_for("crawl", height=0.2) == LatticeDesign(base="free", damping=0.003, height=0.2)
+    assert design_for(Stand) == LatticeDesign()
+    with pytest.raises(ValueError, match="speed"):
+        design_for("crawl", speed=1.0)
+
+
+def test_a_design_that_drops_a_value_is_told() -> None:
+    """Once, with field, values and the way out; not where the value was chosen, nor for a dict."""
+    with pytest.warns(UserWarning, match="^design: ") as caught:
+        LatticeWormEnv("transport", LatticeDesign(elements_per_segment=2))
+    (one,) = caught
+    assert str(one.message) == (
+        "design: this LatticeDesign has the default max_tension = 0.5 where transport has max_tension = 1.0: start "
+        "from lattice_gym.design_for('transport', ...); where the default is meant, give it in a dict"
+    )
+    for design in (
+        design_for("transport", elements_per_segment=2),
+        LatticeDesign(max_tension=0.9),
+        {"max_tension": 0.5},
+    ):
+        LatticeWormEnv("transport", design, fidelity="fast")
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_an_id_with_another_time_limit_is_told_once(many: bool) -> None:
+    """Unless it was given by hand: of one worm when the registered limit has ended its first episode."""
+
+    class Nod(Stand):
+        """Told of once in a process, hence a class of its own."""
+
+    def play(steps: int, **arguments: Any) -> None:
+        """Play an episode and begin another."""
+        make: Any = gymnasium.make_vec if many else gymnasium.make
+        env = make("LatticeWorm-v0", task=Nod, fidelity="fast", control_dt=0.005, **arguments)
+        env.reset(seed=0)
+        for _ in range(steps):
+            env.step(np.zeros(env.action_space.shape))
+        env.reset()
+        env.close()
+
+    play(40, max_episode_steps=40)
+    with pytest.warns(UserWarning, match=r"^LatticeWorm-v0 ends episodes after 200 steps, stand is made for 500: "):
+        play(0 if many else 200)
+    play(0 if many else 200)
 
 
 def test_slow_control_steps_cannot_follow() -> None:
     """The fastest wave that may be drawn must be sampled; a slower one may be asked for."""
     with pytest.raises(ValueError, match=r"^command: .*period of 0.666667 s; it must last 4 control steps"):
-        make_task("peristalsis", LATTICE, 0.2)
-    make_task("peristalsis", LATTICE, 0.2, {"speed": 0.05})
+        TASKS["peristalsis"](LATTICE, 0.2)
+    TASKS["peristalsis"](LATTICE, 0.2, {"speed": 0.05})
 
 
 @pytest.mark.parametrize("name", list(TASKS))

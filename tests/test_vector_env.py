@@ -20,10 +20,10 @@ from hypothesis import strategies as st
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.checks import FloatArray
-from lattice_gym.envs.core import DIVERGENCE_PENALTY
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.goal import LatticeWormGoalVectorEnv
 from lattice_gym.envs.vector import LatticeWormVectorEnv
+from lattice_gym.tasks.base import LEAST_PENALTY
 from lattice_gym.tasks.registry import TASKS
 
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
@@ -179,7 +179,7 @@ def test_a_worm_that_diverges_ends_alone(task: str, mode: AutoresetMode) -> None
     status = [str(info["status"][1]) for info in told]
     failed = next(k for k, line in enumerate(status) if line != "ok")
     assert re.fullmatch(r"(non_finite|overstretched|inverted) \(rod \d+, element \d+\)", status[failed])
-    assert told[failed]["reward_terms"]["divergence"][1] == -DIVERGENCE_PENALTY
+    assert told[failed]["reward_terms"]["divergence"][1] == -LEAST_PENALTY
     if mode is AutoresetMode.NEXT_STEP:
         native.reset(seed=1)
         for action in pull:

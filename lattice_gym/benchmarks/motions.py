@@ -21,7 +21,7 @@ from lattice_gym.physics.laws.activation import advance_activation
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.measures import bend_angle, ring_radii, site_positions, strain
 from lattice_gym.physics.worm import build_model
-from lattice_gym.tasks.gaits import gait
+from lattice_gym.tasks.registry import gait
 
 SAMPLE_DT = 0.05
 """Time between two samples of a motion, and between two commands of a gait [s]."""

@@ -32,7 +32,7 @@ from lattice_gym.engines.registry import EngineName
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.fidelity import FIDELITIES, FidelityName
 from lattice_gym.physics.laws.damping import Splitting
-from lattice_gym.tasks.gaits import gait
+from lattice_gym.tasks.registry import gait
 
 TARGETS = (1e-2, 1e-3)
 """Errors of the outcome at which the engines are compared."""

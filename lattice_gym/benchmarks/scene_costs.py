@@ -26,7 +26,7 @@ from lattice_gym.tasks.transport import Transport
 BARE = replace(LatticeDesign(), rotational_damping=0.0)
 """The default worm without its only optional part; translational damping is always there."""
 MEDIUM = Medium(drag=0.1)
-BALL = Transport.surroundings(build_lattice(LatticeDesign())).bolus
+BALL = Transport.world(build_lattice(LatticeDesign())).bolus
 BY_DIRECTION = Ground(static_friction=0.6, forward=0.5, backward=1.5, sideways=0.8)
 ADAPTATION = Adaptation(strain_gain=0.1, force_gain=0.1, fatigue_rate=0.1, recovery_rate=0.1)
 
@@ -59,7 +59,7 @@ SCENES = (
         name="ground",
         difference="the world of crawl: free, lying, gravity and medium, a ground with friction",
         design=CRAWL,
-        world=Crawl.surroundings(build_lattice(CRAWL)),
+        world=Crawl.world(build_lattice(CRAWL)),
     ),
     Scene(
         name="friction by direction",

@@ -18,12 +18,11 @@ from lattice_gym.envs.scene import Scene
 from lattice_gym.physics.laws.activation import followed
 from lattice_gym.physics.measures import muscle_strain
 from lattice_gym.physics.state import Motion, RodState
+from lattice_gym.tasks.base import DIVERGENCE
 
 Mask = npt.NDArray[np.bool_]
 """One bool a worm, shape (n_worm,)."""
 
-DIVERGENCE_PENALTY = 1000.0
-"""More than lies between the best and the worst episode of registered length of any task: to blow up is worse."""
 OK = str(Health())
 
 
@@ -143,7 +142,7 @@ class Worms:
         return str(self.engine.health(worm)) if self.failed[worm] else OK
 
     def outcome(self, worms: IntArray | None = None) -> dict[str, FloatArray]:
-        """What the motion of some worms, by default of all, came to by now, shape (n,) each."""
+        """Return what the motion of some worms, by default of all, came to by now, shape (n,) each."""
         if worms is None:
             return self.task.outcome(self.motion, np.arange(self.n_worm))
         return self.task.outcome(self.motion.rows(worms), worms)
@@ -257,7 +256,7 @@ class Worms:
         )
 
     def _advance(self, tension: FloatArray, live: Mask) -> Mask:
-        """Advance worms under tensions [N], shape (2, n_worm, n_muscle), and tell which of those that step are sound."""
+        """Advance live worms under tensions [N], shape (2, n_worm, n_muscle), and tell which of them are sound."""
         if not live.all():
             if not live.any():
                 return live.copy()
@@ -277,13 +276,13 @@ class Worms:
         """Reward terms of the step that ends, shape (n_worm,) each."""
         lost = None if sound.all() else np.flatnonzero(~sound)
         memory = {} if lost is None else self.task.remembered(lost)
-        terms = self.task.terms(self.motion, self.activation, self.sound_time)
-        terms["divergence"] = np.zeros(self.n_worm)
+        terms = self.task.reward_terms(self.motion, self.activation, self.sound_time)
+        terms[DIVERGENCE] = np.zeros(self.n_worm)
         if lost is not None:
             self.task.remind(lost, memory)
             for values in terms.values():
                 values[lost] = 0.0
-            terms["divergence"][live & ~sound] = -DIVERGENCE_PENALTY
+            terms[DIVERGENCE][live & ~sound] = -self.task.penalty
         return terms
 
 

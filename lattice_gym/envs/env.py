@@ -14,8 +14,10 @@ from lattice_gym.checks import FloatArray, IntArray, shown, whole_number
 from lattice_gym.envs.core import Worms
 from lattice_gym.envs.observation import Observation
 from lattice_gym.envs.pictures import RENDER_MODES, Pictures
+from lattice_gym.envs.registration import warn_of_time_limit
 from lattice_gym.envs.scene import Scene, check_choice
 from lattice_gym.physics.state import RodState
+from lattice_gym.tasks.base import Task
 
 METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20.0}
 
@@ -118,6 +120,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | all | `effort` | minus 0.01 times the mean squared activation of the muscles |
     | all | `divergence` | 0; or -1000 where the physics diverged, and then all other terms are 0 |
 
+    Numbers here, signs aside, are weights, 1 where there is none: `reward_weights` changes them. The penalty of a
+    divergence is then `task.penalty`: 1000, or more where that is less than the terms can differ by in an episode.
+
     With d the deviation of each ring's radius from rest and t the commanded one, as shares of the rest radius, and sums
     over the n levels that can move, tracking = (sum t^2 - sum (d - t)^2) / (n amplitude^2 / 2 + sum (d - t)^2): 0 for
     doing nothing, sum t^2 / (n amplitude^2 / 2) for following perfectly, which is 1 on average, and never below -1.
@@ -152,8 +157,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | crawl | `direction` along x | -1 or 1 | -1 or 1 |
     | transport | `direction` up the body | -1 or 1 | -1 or 1 |
 
-    A period of the wave must last at least 4 control steps. `tasks.EIGHT_TARGETS` is a command of reach: eight targets
-    on a circle, as in Schaffer et al. (arXiv 2408.16069).
+    A period of the wave must last at least 4 control steps. `tasks.reach.EIGHT_TARGETS` is a command of reach: eight
+    targets on a circle, as in Schaffer et al. (arXiv 2408.16069).
 
     ## Episode end
 
@@ -161,8 +166,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     is not finite, an element inverted or over-stretched, a joint torn or, where asked for, energy from nowhere
     (`energy_check`) or too long a step (`step_check`); see `engines.Status`. Then `info["status"]` names what and
     where, by rod and element, and the observation is the last sound one, again; `time` is that of the control step that
-    failed. The penalty exceeds what lies between the best and the worst episode of registered length in any task, so
-    none that ends well is worth less. The environment never truncates itself: the time limit is registered.
+    failed. The penalty exceeds what lies between the best and the worst episode within the task's time limit, so none
+    that ends well is worth less. The environment never truncates itself: the time limit is registered.
 
     ## Info
 
@@ -216,9 +221,12 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     Arguments
     ---------
     task
-        "extension", "compression", "bending", "peristalsis", "reach", "crawl" or "transport".
+        "extension", "compression", "bending", "peristalsis", "reach", "crawl" or "transport"; or a `Task` of your own:
+        the class, or "module:Class", which a spec as JSON can hold too. An id keeps its time limit whatever the task:
+        `lattice_gym.register_task` makes one that has the task's.
     design
         LatticeDesign; or a dict of what differs from the task's own; None: the task's own, the default one for most.
+        `lattice_gym.design_for("crawl", height=0.2)` is a LatticeDesign that differs from the task's own in the height.
     muscles
         "extension", "compression", "bending", "all", a MuscleLayout or its dict form; None: the task's own.
     control
@@ -255,6 +263,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         own; None: the task's own, nothing at all for most. A part given as a dict changes the task's own part, or where
         that has none the default one; an object replaces it, None takes it away. One that lies needs a free base, crawl
         lies on a ground under gravity, and in crawl and transport worm and ball must come to rest in it.
+    reward_weights
+        Weights of reward terms by name in place of the task's own, "effort" among them: {"effort": 0.02}. The penalty
+        of a divergence rises with them.
     render_mode
         None or "rgb_array".
     adaptation
@@ -287,7 +298,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     action_space: spaces.Box[np.float32]
     observation_space: spaces.Space[Any]
 
-    def __init__(self, task: str | None = None, *, render_mode: str | None = None, **arguments: Any) -> None:
+    def __init__(
+        self, task: str | type[Task] | None = None, *, render_mode: str | None = None, **arguments: Any
+    ) -> None:
         self.render_mode = checked_render_mode(render_mode)
         self.scene = scene = Scene(task, goals_apart=self._goals_apart, **arguments)
         self.worms = Worms(scene, keep_state=True)
@@ -334,6 +347,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode at rest; options hold commanded numbers, by name, for this episode."""
         super().reset(seed=None if seed is None else seed_of(seed))
+        warn_of_time_limit(self.spec, self.scene.task, int(self.worms.n_step[0]))
         info = self.worms.begin(0, self.np_random, options)
         self._running = True
         return self._observe()[0], info

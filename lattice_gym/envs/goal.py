@@ -11,7 +11,7 @@ import numpy.typing as npt
 from lattice_gym.checks import FloatArray, shown
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.vector import LatticeWormVectorEnv
-from lattice_gym.tasks.base import GoalTask, Task
+from lattice_gym.tasks.base import DIVERGENCE, GoalTask, Task
 
 
 class LatticeWormGoalEnv(LatticeWormEnv):
@@ -54,10 +54,10 @@ class LatticeWormGoalVectorEnv(LatticeWormVectorEnv):
 def _goal_reward(task: Task, achieved: npt.NDArray[Any], desired: npt.NDArray[Any], info: Any) -> float | FloatArray:
     """Reward of steps with these goals."""
     assert isinstance(task, GoalTask)  # The scene refuses any other.
-    reward = task.goal_reward(achieved, desired)
+    reward = task.weights[task.goal_term] * task.goal_reward(achieved, desired)
     terms = [entry.get("reward_terms", {}) for entry in _infos(info, np.size(reward))]
     others = np.array([float(sum(value for name, value in entry.items() if name != task.goal_term)) for entry in terms])
-    diverged = np.array([entry.get("divergence", 0.0) != 0.0 for entry in terms], dtype=bool)
+    diverged = np.array([entry.get(DIVERGENCE, 0.0) != 0.0 for entry in terms], dtype=bool)
     if len(terms) > 1:
         others, diverged = others.reshape(np.shape(reward)), diverged.reshape(np.shape(reward))
     total: FloatArray = np.where(diverged, others, reward + others)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from inspect import getdoc
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
@@ -126,7 +127,8 @@ def table(terms: Sequence[ObservationTerm]) -> str:
     rows = ["| term | numbers | unit | bounds | what |", "|---|---|---|---|---|"]
     for term in terms:
         spans = dict.fromkeys(f"{low:g} to {high:g}" for low, high in zip(term.low, term.high, strict=True))
-        rows.append(f"| `{term.name}` | {term.size} | {term.unit} | {', '.join(spans)} | {term.meaning} |")
+        meaning = " ".join((getdoc(type(term)) or "").split())
+        rows.append(f"| `{term.name}` | {term.size} | {term.unit} | {', '.join(spans)} | {meaning} |")
     return "\n".join(rows) + "\n"
 
 

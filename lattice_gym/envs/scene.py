@@ -15,7 +15,6 @@ from lattice_gym.envs.fidelity import FidelityName, named_fidelity
 from lattice_gym.envs.observation import TermLike, resolve_terms
 from lattice_gym.envs.randomisation import Randomisation
 from lattice_gym.envs.settling import settled
-from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.adaptation import Adaptation
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.hill import Hill
@@ -23,7 +22,7 @@ from lattice_gym.physics.stable_step import default_dt, stable_dt
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.base import Given, GoalTask, Task
-from lattice_gym.tasks.registry import TASKS
+from lattice_gym.tasks.registry import TASKS, resolve_task, warn_of_dropped_values
 
 SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT = 1e-6, 1e3
 """Bounds of the control step [s]."""
@@ -73,7 +72,7 @@ class Scene:
 
     def __init__(
         self,
-        task: str | None = None,
+        task: str | type[Task] | None = None,
         design: LatticeDesign | Mapping[str, Any] | None = None,
         muscles: str | MuscleLayout | Mapping[str, Any] | None = None,
         control: str | Sequence[int] | IntArray = "muscle",
@@ -92,6 +91,7 @@ class Scene:
         adaptation: Adaptation | Mapping[str, Any] | None = None,
         hill: Hill | Mapping[str, Any] | None = None,
         randomise: Mapping[str, Sequence[float]] | None = None,
+        reward_weights: Mapping[str, float] | None = None,
         *,
         goals_apart: bool = False,
     ) -> None:
@@ -102,18 +102,20 @@ class Scene:
         preset = named_fidelity(fidelity)
         self.design = preset.remesh(_design(design, self.task.design))
         self.lattice = build_lattice(self.design)
-        self.layout = resolve_layout(self.task.layout if muscles is None else muscles, self.lattice)
+        self.layout = self.task.muscles(self.lattice) if muscles is None else resolve_layout(muscles, self.lattice)
         self.groups = control_groups(control, self.layout, self.lattice)
         self.n_group = int(self.groups.max()) + 1
-        self.world = resolve_world(world, self.task.surroundings, self.lattice)
+        self.world = resolve_world(world, self.task.world, self.lattice)
         if self.world.lying and self.design.base == "clamped":
             raise ValueError("world: a worm that lies needs a free base (design.base); on a clamped one it stands")
         self.adaptation = Adaptation.resolve("adaptation", adaptation)
         self.randomisation = Randomisation.resolve(randomise)
         self.terms = resolve_terms(observation, self)
         self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))
-        self._command = command
+        self._asked: dict[str, Any] = {"command": command, "reward_weights": reward_weights}
         first = self.make_task(1)
+        if isinstance(design, LatticeDesign):
+            warn_of_dropped_values(design, self.task)
         preferred: Splitting = "pyelastica" if engine == "pyelastica" else preset.splitting
         self.splitting: Splitting = preferred if splitting is None else splitting
         self.engine, self.energy_check, self.step_check = engine, energy_check, step_check
@@ -122,7 +124,7 @@ class Scene:
 
     def make_task(self, n_worm: int) -> Task:
         """Task of so many worms; its `rest` is that of the model until it is given the state that episodes start in."""
-        return self.task(self.lattice, self.control_dt, self._command, self.model, n_worm)
+        return self.task(self.lattice, self.control_dt, model=self.model, n_worm=n_worm, **self._asked)
 
     def _substeps(self, dt: object, allow_large_dt: object) -> tuple[int, float]:
         """Physics steps in a control step, and their length [s]."""
@@ -175,15 +177,15 @@ def resolve_world(world: object, own: Callable[[Lattice], World], lattice: Latti
     raise ValueError(f"world = {shown(world)}: must be a World, its dict form or None")
 
 
-def _task(task: str | None, goals_apart: bool) -> type[Task]:
-    """Task by name; where goals are observed apart one that has some."""
+def _task(task: str | type[Task] | None, goals_apart: bool) -> type[Task]:
+    """Task as `resolve_task` finds it; where goals are observed apart one that has some."""
     if task is None:
         task = "reach" if goals_apart else "peristalsis"
-    check_choice("task", task, tuple(TASKS))
-    if goals_apart and not issubclass(TASKS[task], GoalTask):
-        having = ", ".join(name for name, kind in TASKS.items() if issubclass(kind, GoalTask))
-        raise ValueError(f"task = {task!r}: has no goals; those that do: {having}")
-    return TASKS[task]
+    kind = resolve_task(task)
+    if goals_apart and not issubclass(kind, GoalTask):
+        having = ", ".join(name for name, known in TASKS.items() if issubclass(known, GoalTask))
+        raise ValueError(f"task = {shown(task)}: has no goals; those that do: {having}")
+    return kind
 
 
 def _design(design: object, own: Mapping[str, Any]) -> LatticeDesign:

@@ -1,4 +1,8 @@
-"""Observation terms: each one named part of what is observed, with its size, unit and bounds."""
+"""Observation terms: each one named part of what is observed, with its size, unit and bounds.
+
+The docstring of a term's class says what it is; tables for readers are made from it.
+"""
+# ruff: noqa: D102, as the docstring of a class says what its call gives
 
 from __future__ import annotations
 
@@ -37,8 +41,6 @@ class ObservationTerm(ABC):
     """As in `LatticeWormEnv(observation=[...])`."""
     unit: ClassVar[str] = "1"
     """What its numbers are given in."""
-    meaning: ClassVar[str]
-    """One phrase, for tables."""
     stays_within: ClassVar[bool] = False
     """Whether its numbers can never leave their bounds; of any other term those that do are clipped and counted."""
     low: FloatArray
@@ -107,10 +109,9 @@ class _Points(ObservationTerm):
 
 @final
 class Sites(_Points):
-    """See its `meaning`."""
+    """Displacement from rest of every site (x, y, z), then velocity of each; none that the base holds."""
 
     name = "sites"
-    meaning = "displacement from rest of every site (x, y, z), then velocity of each; none that the base holds"
 
     @staticmethod
     def _points(scene: Scene) -> IntArray:
@@ -119,10 +120,9 @@ class Sites(_Points):
 
 @final
 class Nodes(_Points):
-    """See its `meaning`."""
+    """The same of every node of the structure rods."""
 
     name = "nodes"
-    meaning = "the same of every node of the structure rods"
 
     @staticmethod
     def _points(scene: Scene) -> IntArray:
@@ -131,10 +131,9 @@ class Nodes(_Points):
 
 @final
 class Activation(ObservationTerm):
-    """See its `meaning`."""
+    """Activation of each control group: its muscles share one."""
 
     name = "activation"
-    meaning = "activation of each control group: its muscles share one"
     stays_within = True
 
     def __init__(self, scene: Scene) -> None:
@@ -146,10 +145,9 @@ class Activation(ObservationTerm):
 
 @final
 class Command(ObservationTerm):
-    """See its `meaning`."""
+    """What the task commands, see `LatticeWormEnv`."""
 
     name = "command"
-    meaning = "what the task commands, see `LatticeWormEnv`"
     stays_within = True
 
     def __init__(self, scene: Scene) -> None:
@@ -164,10 +162,9 @@ class Command(ObservationTerm):
 
 @final
 class Clock(ObservationTerm):
-    """See its `meaning`."""
+    """Cosine and sine of a clock of frequency `rhythm` that starts with the episode."""
 
     name = "clock"
-    meaning = "cosine and sine of a clock of frequency `rhythm` that starts with the episode"
     stays_within = True
 
     def __init__(self, scene: Scene) -> None:
@@ -183,10 +180,9 @@ class Clock(ObservationTerm):
 
 @final
 class Strength(ObservationTerm):
-    """See its `meaning`."""
+    """Strength of each muscle by its use, needs `adaptation`."""
 
     name = "strength"
-    meaning = "strength of each muscle by its use, needs `adaptation`"
     unit = "that of the design"
     stays_within = True
 
@@ -201,10 +197,9 @@ class Strength(ObservationTerm):
 
 @final
 class MuscleLengths(ObservationTerm):
-    """See its `meaning`."""
+    """Length of each muscle."""
 
     name = "muscle_lengths"
-    meaning = "length of each muscle"
     unit = "its length at rest"
 
     def __init__(self, scene: Scene) -> None:
@@ -217,10 +212,9 @@ class MuscleLengths(ObservationTerm):
 
 @final
 class MuscleRates(ObservationTerm):
-    """See its `meaning`."""
+    """How fast each muscle grows longer."""
 
     name = "muscle_rates"
-    meaning = "how fast each muscle grows longer"
     unit = "its length at rest / s"
 
     def __init__(self, scene: Scene) -> None:
@@ -233,10 +227,9 @@ class MuscleRates(ObservationTerm):
 
 @final
 class RingRadii(ObservationTerm):
-    """See its `meaning`."""
+    """Mean radius of the ring of sites at each level."""
 
     name = "ring_radii"
-    meaning = "mean radius of the ring of sites at each level"
     unit = "that at rest"
 
     def __init__(self, scene: Scene) -> None:
@@ -252,13 +245,12 @@ class RingRadii(ObservationTerm):
 
 @final
 class BodyFrame(ObservationTerm):
-    """See its `meaning`."""
+    """Pose and velocity of the top: centre from the base's, unit normal, velocity (x, y, z each).
+
+    Those of a free base come first: centre from where episodes start, unit normal, velocity.
+    """
 
     name = "body_frame"
-    meaning = (
-        "of the top: centre from that of the base, unit normal, velocity (x, y, z each); of a free base before it: "
-        "centre from where it started, unit normal, velocity"
-    )
     unit = "height; 1; height/s"
 
     def __init__(self, scene: Scene) -> None:
@@ -281,10 +273,9 @@ class BodyFrame(ObservationTerm):
 
 @final
 class GroundContact(ObservationTerm):
-    """See its `meaning`."""
+    """1 for each site of which a node touches the ground, else 0; needs `world.ground`."""
 
     name = "ground_contact"
-    meaning = "1 for each site of which a node touches the ground, else 0; needs `world.ground`"
     stays_within = True
 
     def __init__(self, scene: Scene) -> None:
@@ -296,15 +287,14 @@ class GroundContact(ObservationTerm):
 
     def __call__(self, worms: Worms) -> FloatArray:
         touches = worms.motion.position[:, self._nodes, 2] < self._radius
-        return touches.any(axis=-1).astype(np.float64)
+        return np.asarray(touches.any(axis=-1), dtype=np.float64)
 
 
 @final
 class PreviousAction(ObservationTerm):
-    """See its `meaning`."""
+    """Last action as clipped, 0 at the start."""
 
     name = "previous_action"
-    meaning = "last action as clipped, 0 at the start"
     stays_within = True
 
     def __init__(self, scene: Scene) -> None:

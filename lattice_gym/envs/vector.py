@@ -18,6 +18,7 @@ from lattice_gym.envs.core import OK, Mask, Worms
 from lattice_gym.envs.env import METADATA, checked_render_mode, clipped_command, seed_of
 from lattice_gym.envs.observation import Observation
 from lattice_gym.envs.pictures import Pictures
+from lattice_gym.envs.registration import warn_of_time_limit
 from lattice_gym.envs.scene import Scene
 
 
@@ -114,6 +115,8 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
             Commanded numbers by name for these episodes, and `reset_mask`: bool, shape (num_envs,).
         """
         seeds, (mask, given) = self._seeds(seed), self._options(options)
+        if self._limit:
+            warn_of_time_limit(self.spec, self.scene.task, self._limit)
         if self._seen is None and not mask.all():
             raise gymnasium.error.ResetNeeded("reset() must be called without a reset_mask first")
         for worm in _worms(mask):

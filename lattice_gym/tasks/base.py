@@ -1,11 +1,14 @@
-"""What the worm is asked to do: a command, reward terms and an outcome, one small final class a task.
+"""What the worm is asked to do: a command, reward terms and an outcome, one small class a task.
 
 A task reads named quantities of the motion (measures.py) of one worm or of several side by side, all at once: whatever
-it keeps and gives has a row a worm. It keeps nothing between episodes but what it was built with.
+it keeps and gives has a row a worm. It keeps nothing between episodes but what it was built with. All that is known of
+a task stands in its class, so a task from outside the package is as good as one of its own.
 """
 
 from __future__ import annotations
 
+import math
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -15,16 +18,24 @@ import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
-from lattice_gym.body.muscles import named_layout
-from lattice_gym.checks import FloatArray, IntArray, is_number, shown
+from lattice_gym.body.muscles import MuscleLayout, named_layout
+from lattice_gym.checks import FloatArray, IntArray, finite_number, is_number, shown
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.measures import base_frame
+from lattice_gym.physics.rod import MAX_DILATATION
 from lattice_gym.physics.state import Motion, RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
+from lattice_gym.tasks.gait import Gait
 
+EFFORT, DIVERGENCE = "effort", "divergence"
+"""Reward terms of every task, after its own: the price of activation, and that of physics that diverged."""
 EFFORT_WEIGHT = 0.01
 """Price of holding every muscle fully active, per control step: small against what any task pays."""
+LEAST_PENALTY = 1000.0
+"""What a divergence costs at least."""
+HEAVIEST = 1e6
+"""Bound of the size of a reward weight."""
 BOUND_SLACK = 1e-9
 """Share of a bound by which a commanded number may lie beyond it: a bound that is reached by arithmetic is rounded."""
 COMMAND_BOUND = 10.0
@@ -33,6 +44,8 @@ Given = Mapping[str, float | Sequence[float]]
 """Commanded numbers by name, or lists to draw one from."""
 WAY_WEIGHT = 10.0
 """Reward for a way of one height: a hand-made gait earns ten times what the effort of it costs."""
+LONGEST_STRAIN = MAX_DILATATION + 1.0
+"""No point of a clamped body is further from where it rested, in heights: rods tear sooner, whichever way up."""
 GOAL_SCALE = 0.2
 """Goals are given and observed in units of this share of the height: about as far as a top can be brought."""
 
@@ -58,6 +71,22 @@ class Command(NamedTuple):
         return self.least - slack * abs(self.least) <= value <= self.most + slack * abs(self.most)
 
 
+class RewardTerm(NamedTuple):
+    """Weight of a reward term, and the range of its value before that is weighted."""
+
+    weight: float
+    low: float = -math.inf
+    high: float = math.inf
+    """Least and largest value in one control step."""
+    whole: bool = False
+    """Whether that is the range of its sum over an episode instead."""
+
+    def span(self, steps: int, weight: float) -> float:
+        """Largest difference of its weighted sums over any two episodes of at most so many steps."""
+        # An episode may end before anything was earned or lost.
+        return (1 if self.whole else steps) * abs(weight) * (max(self.high, 0.0) - min(self.low, 0.0))
+
+
 class Task(ABC):
     """A command that is drawn once an episode, signed reward terms and an outcome for every control step.
 
@@ -73,15 +102,26 @@ class Task(ABC):
         The assembly that moves; None: see `model`.
     n_worm
         Number of worms; each has episodes of its own.
+    reward_weights
+        Weights of reward terms by name, in place of the task's own.
+
+    Warns
+    -----
+    UserWarning
+        A reward term without a range: then `penalty` may be too low.
 
     """
 
     name: ClassVar[str]
-    """As in `LatticeWormEnv(task=...)`."""
-    layout: ClassVar[str]
-    """Muscles it is meant for, by name."""
-    term_names: ClassVar[tuple[str, ...]]
-    """Names of its reward terms, in order."""
+    """In messages, captions and files; of a task of this package also the value of `LatticeWormEnv(task=...)`."""
+    time_limit: ClassVar[int]
+    """Control steps of an episode."""
+    rewards: ClassVar[Mapping[str, RewardTerm]]
+    """Its reward terms by name, in order; "effort" comes after them by itself."""
+    training: ClassVar[Mapping[str, Any]] = {}
+    """What suits a learner: "control" as in `LatticeWormEnv`, and "gamma", the discount in each control step."""
+    layout: ClassVar[str] = "all"
+    """Muscles it is meant for, by name; see `muscles`."""
     bounds: ClassVar[tuple[float, ...]] = ()
     """Sizes that what it adds to the observation stays within, one a number."""
     design: ClassVar[Mapping[str, Any]] = {}
@@ -103,14 +143,19 @@ class Task(ABC):
         command: Given | None = None,
         model: RodModel | None = None,
         n_worm: int = 1,
+        reward_weights: Mapping[str, float] | None = None,
     ) -> None:
         self.lattice = lattice
         self.control_dt = control_dt
         self.n_worm = n_worm
+        self._all_rewards = {**self.rewards, EFFORT: RewardTerm(EFFORT_WEIGHT, -1.0, 0.0)}
+        self.weights = self._weighed(reward_weights)
+        """Weights of the reward terms by name."""
+        self._warn_of_ranges()
         if model is not None:
             self.model = model
-        self._prepare()
-        self.commands = self._commands()
+        self.prepare()
+        self.commands = self.command_ranges()
         self.among = {name: bounds.among for name, bounds in self.commands.items() if bounds.among}
         self.among |= self._checked("command", command)
         """Numbers that are drawn from a few, or held: those few, by name."""
@@ -119,19 +164,39 @@ class Task(ABC):
             for name, bounds in self.commands.items()
         }
         """The numbers now commanded, by name, shape (n_worm,) each."""
-        self.memory = {name: np.repeat(value[None], n_worm, axis=0) for name, value in self._blank().items()}
+        self.memory = {name: np.repeat(value[None], n_worm, axis=0) for name, value in self.blank_memory().items()}
         """What an episode is remembered by, by name, a row a worm."""
 
     @classmethod
-    def surroundings(cls, lattice: Lattice) -> World:
+    def world(cls, lattice: Lattice) -> World:
         """Return its own world around a body."""
         return World()
+
+    @classmethod
+    def muscles(cls, lattice: Lattice) -> MuscleLayout:
+        """Return the muscles of a body that it is meant for."""
+        return named_layout(cls.layout, lattice)
+
+    @classmethod
+    def gait(cls, lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait | None:
+        """Open-loop gait for what is commanded, a baseline and a starting point; None: it has none."""
+        return None
 
     @cached_property
     def model(self) -> RodModel:
         """The assembly: as given, or that of the task's own muscles and world."""
-        layout = named_layout(self.layout, self.lattice)
-        return build_model(self.lattice, layout, self.surroundings(self.lattice))
+        return build_model(self.lattice, self.muscles(self.lattice), self.world(self.lattice))
+
+    @cached_property
+    def penalty(self) -> float:
+        """What a divergence costs: more than lies between the best and the worst sound episode within `time_limit`.
+
+        At least LEAST_PENALTY, and else the sum over all terms of how far their weighted sums over an episode can be
+        apart, by the ranges in `rewards`.
+        """
+        terms = self._all_rewards.items()
+        spans = [term.span(self.time_limit, self.weights[name]) for name, term in terms]
+        return max(LEAST_PENALTY, math.fsum(span for span in spans if math.isfinite(span)))
 
     def check(self, options: Mapping[str, object] | None) -> None:
         """Raise the ValueError of `begin` for options that it would refuse."""
@@ -142,7 +207,7 @@ class Task(ABC):
         command = self._drawn(rng, options)
         for name, number in command.items():
             self.commanded[name][worm] = number
-        for name, value in self._blank().items():
+        for name, value in self.blank_memory().items():
             self.memory[name][worm] = value
 
     @property
@@ -159,13 +224,15 @@ class Task(ABC):
         """State that episodes start from; the environment puts the settled one here."""
         return self.model.rest_state()
 
-    @abstractmethod
     def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Return what is asked for at times [s], shape (n_worm,), scaled to order one, shape (n_worm, len(bounds))."""
+        return np.empty((self.n_worm, 0))
 
     @abstractmethod
     def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
-        """Signed reward terms at the end of a control step, shape (n_worm,) each; called once for each, in order.
+        """Values of `rewards` at the end of a control step, not yet weighted, shape (n_worm,) each.
+
+        Called once for each step, in order.
 
         Parameters
         ----------
@@ -178,12 +245,32 @@ class Task(ABC):
 
         """
 
+    def reward_terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+        """Signed parts of the reward, effort last, shape (n_worm,) each; arguments and calls as those of `terms`."""
+        values = self.terms(motion, activation, time)
+        if values.keys() != self.rewards.keys():
+            raise ValueError(
+                f"{type(self).__name__}.terms gave {', '.join(values) or 'nothing'}: must give the terms of its "
+                f"rewards, {', '.join(self.rewards)}"
+            )
+        paid = {name: self.weights[name] * values[name] for name in self.rewards}
+        price = -self.weights[EFFORT] / activation.shape[-1]
+        return paid | {EFFORT: price * (activation * activation).sum(axis=-1)}
+
     @abstractmethod
     def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Return what the motion came to by now, apart from the reward, shape (n,) each.
 
         Motion and rows are those of n of the worms.
         """
+
+    @classmethod
+    def errors(cls, outcome: Mapping[str, float], command: Mapping[str, float]) -> dict[str, float]:
+        """Outcome of one worm measured by its command, so that a mean over different commands has a meaning.
+
+        What has no value in this episode is left out. By default the outcome as it is.
+        """
+        return dict(outcome)
 
     def over(self, motion: Motion) -> npt.NDArray[np.bool_]:
         """Tell for each worm of a motion whether nothing more can come of its episode, shape (n,)."""
@@ -196,18 +283,18 @@ class Task(ABC):
         """
         motion = state if isinstance(state, Motion) else Motion.of(state)
         outcome = self.outcome(motion, np.array([worm]))
-        return self._caption({name: float(values[0]) for name, values in outcome.items()}, worm)
+        return self.describe({name: float(values[0]) for name, values in outcome.items()}, worm)
+
+    def describe(self, outcome: Mapping[str, float], worm: int) -> str:
+        """Line of text for an outcome of a worm; by default its names and numbers."""
+        return ", ".join(f"{name} {value:.3g}" for name, value in outcome.items())
 
     def markers(self, worm: int) -> FloatArray:
         """Places that are asked of a worm [m], to mark in pictures, shape (n_marker, 3); none in most tasks."""
         return np.empty((0, 3))
 
-    @abstractmethod
-    def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
-        """Line for an outcome of a worm."""
-
-    def _blank(self) -> dict[str, FloatArray]:
-        """Memory of one worm at the start of its episode."""
+    def blank_memory(self) -> dict[str, FloatArray]:
+        """Memory of one worm at the start of its episode, by name; see `memory`."""
         return {}
 
     def remembered(self, worms: IntArray) -> dict[str, FloatArray]:
@@ -219,13 +306,51 @@ class Task(ABC):
         for name, values in memory.items():
             self.memory[name][worms] = values
 
-    @abstractmethod
-    def _commands(self) -> dict[str, Command]:
-        """Bounds of every commanded number."""
+    def command_ranges(self) -> dict[str, Command]:
+        """Bounds of every commanded number, by name; none by default."""
+        return {}
 
-    @abstractmethod
-    def _prepare(self) -> None:
-        """Refuse a body that cannot do it, and measure it at rest."""
+    def prepare(self) -> None:  # noqa: B027, most need none
+        """Refuse a body that cannot do it with a ValueError, and measure it at rest."""
+
+    def check_command(  # noqa: B027, most need none
+        self, argument: str, numbers: Mapping[str, tuple[float, ...]]
+    ) -> None:
+        """Refuse commanded numbers that are wrong together with a ValueError that begins with `argument`.
+
+        Each is drawn from those under its name, or from between the two ends of its range.
+        """
+
+    def _weighed(self, given: object) -> dict[str, float]:
+        """Weight of every reward term, the effort's last."""
+        if taken := sorted({EFFORT, DIVERGENCE} & set(self.rewards)):
+            raise ValueError(f"{type(self).__name__}.rewards: {taken[0]} is a term of every task, and not its own")
+        weights = {name: float(term.weight) for name, term in self._all_rewards.items()}
+        if given is None:
+            return weights
+        if not isinstance(given, Mapping):
+            raise ValueError(f"reward_weights = {shown(given)}: must be a mapping of names to numbers")
+        for name, value in given.items():
+            if name not in weights:
+                raise ValueError(f"reward_weights: {self.name} has no {name!r}; its terms are {', '.join(weights)}")
+            number = finite_number(value)
+            if number is None or abs(number) > HEAVIEST:
+                label = f"reward_weights[{name!r}] = {shown(value)}"
+                raise ValueError(f"{label}: must be a number from {-HEAVIEST:g} to {HEAVIEST:g}")
+            weights[name] = number
+        return weights
+
+    def _warn_of_ranges(self) -> None:
+        """Warn of reward terms whose range is not known, as the price of a divergence cannot count them."""
+        for name, term in self._all_rewards.items():
+            if self.weights[name] and not math.isfinite(term.high - term.low):
+                warnings.warn(
+                    f"{self.name}: the range of reward term {name!r} is {term.low:g} to {term.high:g}, so a divergence "
+                    f"may pay more than a sound episode, although it costs {self.penalty:g}; state the least and the "
+                    f"largest value in a control step: {type(self).__name__}.rewards[{name!r}] = "
+                    f"RewardTerm({term.weight:g}, low, high)",
+                    stacklevel=3,
+                )
 
     def _drawn(self, rng: np.random.Generator, options: Mapping[str, object] | None) -> dict[str, float]:
         among = self.among | self._checked("options", options)
@@ -238,12 +363,10 @@ class Task(ABC):
 
     def _checked(self, argument: str, values: Mapping[str, object] | None) -> dict[str, tuple[float, ...]]:
         """Numbers to draw from by name; a number alone is held."""
-        if values is None:
-            return {}
-        if not isinstance(values, Mapping):
+        if values is not None and not isinstance(values, Mapping):
             raise ValueError(f"{argument} = {shown(values)}: must be a mapping of names to numbers")
         checked: dict[str, tuple[float, ...]] = {}
-        for name, value in values.items():
+        for name, value in (values or {}).items():
             if name not in self.commands:
                 known = ", ".join(self.commands) or "nothing"
                 raise ValueError(f"{argument}: {self.name} commands no {name!r}; it commands {known}")
@@ -254,6 +377,8 @@ class Task(ABC):
                 kind = " or ".join(f"{number:g}" for number in bounds.among) or span
                 raise ValueError(f"{argument}[{name!r}] = {shown(value)}: must be {kind}, or a list of them")
             checked[name] = tuple(float(number) for number in numbers)
+        drawn = {name: (bounds.low, bounds.high) for name, bounds in self.commands.items()}
+        self.check_command(argument, drawn | self.among | checked)
         return checked
 
 
@@ -275,13 +400,7 @@ class GoalTask(Task):
 
     @abstractmethod
     def goal_reward(self, achieved: npt.NDArray[Any], desired: npt.NDArray[Any]) -> FloatArray:
-        """Term `goal_term` for goals of shape (..., n_goal), shape (...)."""
-
-
-def effort(activation: FloatArray) -> FloatArray:
-    """Price of activations, shape (n_worm, n_muscle), for every worm."""
-    price: FloatArray = -EFFORT_WEIGHT / activation.shape[-1] * (activation * activation).sum(axis=-1)
-    return price
+        """Value of `goal_term` for goals of shape (..., n_goal), not yet weighted, shape (...)."""
 
 
 def quotient(over: FloatArray, under: FloatArray, where: npt.NDArray[np.bool_]) -> FloatArray:

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import final
 
+import numpy as np
+
+from lattice_gym.body.lattice import Lattice
+from lattice_gym.body.muscles import MuscleLayout
 from lattice_gym.tasks.axial import AxialTask
+from lattice_gym.tasks.gait import Gait, hold, longitudinal
 
 
 @final
@@ -14,3 +20,8 @@ class Compression(AxialTask):
     name = "compression"
     layout = "compression"
     sign = -1.0
+
+    @classmethod
+    def gait(cls, lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
+        """Every vertical muscle fully active."""
+        return hold(np.where(longitudinal(lattice, layout), 1.0, 0.0))

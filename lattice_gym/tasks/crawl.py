@@ -8,11 +8,16 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from lattice_gym.body.lattice import Lattice
-from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.body.muscles import MuscleLayout
+from lattice_gym.checks import TURN, FloatArray, IntArray
 from lattice_gym.physics.measures import mass_centre, muscle_lengths
 from lattice_gym.physics.state import Motion
 from lattice_gym.physics.world import Ground, Medium, World
-from lattice_gym.tasks.base import COMMAND_BOUND, WAY_WEIGHT, Command, Task, effort, quotient
+from lattice_gym.tasks.base import COMMAND_BOUND, WAY_WEIGHT, Command, RewardTerm, Task, quotient
+from lattice_gym.tasks.gait import LEAST, MOST, Gait, check_numbers, longitudinal, muscle_middles, needed
+
+CRAWL_FREQUENCY, CRAWL_WAVELENGTH = 1.0, 1.0
+"""Of the crawling wave [Hz], [heights]: the best of wavelengths from 0.6 to 2; at 2 Hz it is a quarter faster."""
 
 
 @final
@@ -26,7 +31,11 @@ class Crawl(Task):
 
     name = "crawl"
     layout = "all"
-    term_names = ("progress", "effort")
+    time_limit = 200
+    # Nothing crawls two heights a second, twenty times as fast as the gait at 3 Hz.
+    rewards: ClassVar[Mapping[str, RewardTerm]] = {"progress": RewardTerm(WAY_WEIGHT, -0.1, 0.1)}
+    # Strokes last longer than the five steps that a discount of 0.8 looks ahead.
+    training: ClassVar[Mapping[str, Any]] = {"control": "ring", "gamma": 0.95}
     bounds = (1.0, COMMAND_BOUND)
     design: ClassVar[Mapping[str, Any]] = {"base": "free", "damping": 0.003}
     settles = True
@@ -36,7 +45,7 @@ class Crawl(Task):
     """Way [heights] below which no course and no cost of transport is given."""
 
     @classmethod
-    def surroundings(cls, lattice: Lattice) -> World:
+    def world(cls, lattice: Lattice) -> World:
         """Return a ground to lie on in water, which resists as it does a rod at 0.13 m/s.
 
         Across a flow of speed v a cylinder of diameter D has the drag Cd rho D v^2 / 2 per length, with Cd about 1.5 at
@@ -46,7 +55,8 @@ class Crawl(Task):
         """
         return World(medium=Medium(drag=1.0), ground=Ground(), lying=True)
 
-    def _prepare(self) -> None:
+    def prepare(self) -> None:
+        """Refuse a body that is clamped or does not lie on the ground by its weight."""
         if self.lattice.design.base == "clamped":
             raise ValueError('design.base = "clamped": a worm that crawls must be free')
         if self.model.ground is None:
@@ -57,7 +67,8 @@ class Crawl(Task):
         if not np.allclose(np.diff(body[:, 0]), np.diff(self.lattice.position[0, :, 2])):
             raise ValueError("world.lying = False: a worm that crawls must lie")
 
-    def _blank(self) -> dict[str, FloatArray]:
+    def blank_memory(self) -> dict[str, FloatArray]:
+        """Where it started, what its muscles have done, and when that was."""
         length = muscle_lengths(self.model, self.rest.position)
         start = mass_centre(self.model, self.rest.position)
         nothing = np.zeros(())
@@ -70,7 +81,7 @@ class Crawl(Task):
         return np.array([self.commanded["direction"], np.minimum(np.maximum(aside, -COMMAND_BOUND), COMMAND_BOUND)]).T
 
     def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
-        """Way along the commanded direction in this step, and effort."""
+        """Way along the commanded direction in this step [heights]."""
         centre, length = mass_centre(self.model, motion.position), muscle_lengths(self.model, motion.position)
         before, design = self.memory, self.lattice.design
         way = (centre - before["centre"])[:, 0] * self.commanded["direction"] / design.height
@@ -79,7 +90,7 @@ class Crawl(Task):
         work = before["work"] + (tension * np.maximum(before["length"] - length, 0.0)).sum(axis=-1)
         self.memory |= {"centre": centre, "length": length, "activation": activation.copy(), "work": work}
         self.memory["time"] = time.copy()
-        return {"progress": WAY_WEIGHT * way, "effort": effort(activation)}
+        return {"progress": way}
 
     def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Speed along the command [body lengths a minute], drift off it [rad] and cost of transport, see env.py."""
@@ -95,17 +106,58 @@ class Crawl(Task):
             "cost_of_transport": quotient(work, haul, (along >= self.LEAST_WAY) & (haul > 0.0)),
         }
 
-    def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
+    @classmethod
+    def errors(cls, outcome: Mapping[str, float], command: Mapping[str, float]) -> dict[str, float]:
+        """Speed [body heights a minute], drift [deg], and cost of transport where it went along the command at all."""
+        cost = {name: value for name, value in outcome.items() if name == "cost_of_transport" and value > 0.0}
+        return {"speed": outcome["speed"], "drift_deg": float(np.degrees(outcome["drift"]))} | cost
+
+    def describe(self, outcome: Mapping[str, float], worm: int) -> str:
         """Speed along the command and drift."""
         way = "+x" if self.commanded["direction"][worm] > 0.0 else "-x"
         return (
             f"{outcome['speed']:+.1f} body lengths/min along {way}, {np.degrees(outcome['drift']):.0f} deg off course"
         )
 
+    @classmethod
+    def gait(cls, lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
+        """Peristaltic wave that runs against the commanded direction."""
+        return crawling_gait(lattice, layout, **needed(cls.name, command, "direction"))
+
     def _way(self, motion: Motion, start: FloatArray) -> FloatArray:
         """Way of the centre of mass along x and y since the start [heights], shape (n, 2)."""
         way: FloatArray = (mass_centre(self.model, motion.position) - start)[:, :2] / self.lattice.design.height
         return way
 
-    def _commands(self) -> dict[str, Command]:
+    def command_ranges(self) -> dict[str, Command]:
+        """Direction along x."""
         return {"direction": Command(-1.0, 1.0, -1.0, 1.0, "1", (-1.0, 1.0))}
+
+
+def crawling_gait(
+    lattice: Lattice,
+    layout: MuscleLayout,
+    direction: float,
+    frequency: float = CRAWL_FREQUENCY,
+    wavelength: float = CRAWL_WAVELENGTH,
+    ring_share: float = 1.0,
+) -> Gait:
+    """Rings and vertical muscles in antiphase, as a wave that runs along the body against the direction it crawls in.
+
+    Where vertical muscles contract the body is thick and stands, where rings do it is thin and moves on, as in an
+    earthworm. The direction is +1 towards the top end, -1 towards the base; the frequency in Hz, the wavelength in
+    heights.
+    """
+    check_numbers(-MOST, direction=direction)
+    check_numbers(LEAST, frequency=frequency, wavelength=wavelength)
+    check_numbers(0.0, ring_share=ring_share)
+    if direction == 0.0:
+        raise ValueError(f"direction = {direction!r}: must not be 0")
+    along, height = longitudinal(lattice, layout), muscle_middles(lattice, layout)[:, 2]
+    drive = 0.5 * np.where(along, 1.0, ring_share)
+    return Gait(
+        offset=drive,
+        swing=np.where(along, drive, -drive),
+        phase=TURN * height / (wavelength * lattice.design.height),
+        frequency=-float(np.sign(direction)) * frequency,
+    )

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import final
 
+import numpy as np
+
+from lattice_gym.body.lattice import Lattice
+from lattice_gym.body.muscles import MuscleLayout
 from lattice_gym.tasks.axial import AxialTask
+from lattice_gym.tasks.gait import Gait, hold, longitudinal
 
 
 @final
@@ -14,3 +20,8 @@ class Extension(AxialTask):
     name = "extension"
     layout = "extension"
     sign = 1.0
+
+    @classmethod
+    def gait(cls, lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
+        """Every ring muscle fully active: narrower rings make a longer body."""
+        return hold(np.where(longitudinal(lattice, layout), 0.0, 1.0))

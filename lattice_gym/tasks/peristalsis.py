@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import product
-from typing import ClassVar, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
+from lattice_gym.body.lattice import Lattice
+from lattice_gym.body.muscles import MuscleLayout
 from lattice_gym.checks import TURN, FloatArray, IntArray
 from lattice_gym.physics.measures import ring_radii, travelling_wave
 from lattice_gym.physics.state import Motion
-from lattice_gym.tasks.base import BOUND_SLACK, COMMAND_BOUND, Command, Task, effort
+from lattice_gym.tasks.base import BOUND_SLACK, COMMAND_BOUND, Command, RewardTerm, Task
+from lattice_gym.tasks.gait import LEAD, LEAST, MOST, Gait, check_numbers, longitudinal, muscle_middles, needed
 
+RING_SHARE = 0.7
+"""Drive of ring muscles over that of vertical ones: held back this much, a wave leaves the mean radius where it was."""
+TOP_SHARE = 0.5
+"""Further share for the rings of the top level: nothing holds it from above, so less gives the same amplitude."""
+FULL_DRIVE_AMPLITUDE = 0.06
+"""Amplitude of the ring radii over the rest radius that the wave reaches at full drive in the default design."""
 WAYS = {1: "up", -1: "down"}
 
 
@@ -30,13 +39,15 @@ class Peristalsis(Task):
     n_level amplitude^2 / 2, which is 1 on average and at most 2; it is negative for motion that leads away, and never
     below -1, however far away that is.
 
-    What is drawn was chosen from what the body can do: see FULL_DRIVE_AMPLITUDE in gaits.py, and the test
+    What is drawn was chosen from what the body can do: see FULL_DRIVE_AMPLITUDE, and the test
     `test_the_antiphase_gait_can_make_the_wave_that_is_drawn`, which measures it.
     """
 
     name = "peristalsis"
     layout = "all"
-    term_names = ("tracking", "effort")
+    time_limit = 200
+    rewards: ClassVar[Mapping[str, RewardTerm]] = {"tracking": RewardTerm(1.0, -1.0, 2.0)}
+    training: ClassVar[Mapping[str, Any]] = {"control": "ring", "gamma": 0.8}
     bounds = (1.0, 1.0, COMMAND_BOUND, COMMAND_BOUND, COMMAND_BOUND)
 
     RECORDED_PERIODS: ClassVar[int] = 2
@@ -50,7 +61,8 @@ class Peristalsis(Task):
     TYPICAL_AMPLITUDE: ClassVar[float] = 0.055
     """Scale of the observed amplitude."""
 
-    def _prepare(self) -> None:
+    def prepare(self) -> None:
+        """Refuse a body with too few levels for a wave, and measure its rings."""
         lattice = self.lattice
         first = 1 if lattice.design.base == "clamped" else 0
         if lattice.n_level - first < self.LEAST_LEVELS:
@@ -75,7 +87,8 @@ class Peristalsis(Task):
             room = np.zeros((self.n_worm, window - record.shape[1], len(self.height)))
             self.memory["record"] = np.concatenate([record, room], axis=1)
 
-    def _blank(self) -> dict[str, FloatArray]:
+    def blank_memory(self) -> dict[str, FloatArray]:
+        """Count of steps, and the latest deviations of the ring radii."""
         return {"steps": np.zeros(()), "record": np.zeros((1, len(self.height)))}
 
     def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
@@ -99,7 +112,7 @@ class Peristalsis(Task):
         return found
 
     def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
-        """Share of the commanded wave that is followed, and effort."""
+        """Share of the commanded wave that is followed."""
         deviation = (ring_radii(self.lattice, motion.position) / self.rest_radius - 1.0)[:, self.first :]
         steps = self.memory["steps"]
         self.memory["record"][np.arange(self.n_worm), steps.astype(np.int64) % self._window] = deviation
@@ -109,7 +122,7 @@ class Peristalsis(Task):
         # sum target^2 - sum (deviation - target)^2, without the rounding of a difference
         followed = ((target - error) * deviation).sum(axis=-1)
         whole = 0.5 * len(self.height) * self.commanded["amplitude"] ** 2 + (error * error).sum(axis=-1)
-        return {"tracking": followed / whole, "effort": effort(activation)}
+        return {"tracking": followed / whole}
 
     def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Index, direction, speed [m/s] and amplitude (a share of the rest radius) of the wave.
@@ -123,7 +136,20 @@ class Peristalsis(Task):
                 row[:] = *wave, wave.amplitude
         return dict(zip(("wave_index", "wave_direction", "wave_speed", "wave_amplitude"), found.T, strict=True))
 
-    def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
+    @classmethod
+    def errors(cls, outcome: Mapping[str, float], command: Mapping[str, float]) -> dict[str, float]:
+        """Index of the wave, and its speed and amplitude over those asked for: 1 is exact, 0 no wave.
+
+        A speed below 0 is a wave that runs the wrong way.
+        """
+        velocity = outcome["wave_direction"] * outcome["wave_speed"]
+        return {
+            "wave_index": outcome["wave_index"],
+            "speed_over_asked": velocity / command["speed"],
+            "amplitude_over_asked": outcome["wave_amplitude"] / command["amplitude"],
+        }
+
+    def describe(self, outcome: Mapping[str, float], worm: int) -> str:
         """Index, way, speed and amplitude beside those asked for; empty until two commanded periods have passed."""
         if not self._whole_record(worm):
             return ""
@@ -134,6 +160,13 @@ class Peristalsis(Task):
         asked = f"{WAYS[int(np.sign(wish))]} at {abs(wish):.3f} m/s, {size:.1f} %"
         return f"wave index {index:.2f}, {way}, amplitude {100.0 * amplitude:.1f} % (asked: {asked})"
 
+    @classmethod
+    def gait(cls, lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
+        """Wave of rings and vertical muscles in antiphase, a lead ahead of the commanded one."""
+        return peristalsis_gait(
+            lattice, layout, **needed(cls.name, command, "speed", "wavelength", "amplitude", "phase")
+        )
+
     def _whole_record(self, worm: int) -> bool:
         """Whether two commanded periods have passed."""
         return bool(self.memory["steps"][worm] >= self._window[worm])
@@ -143,13 +176,10 @@ class Peristalsis(Task):
         phase: FloatArray = rate * time + self.commanded["phase"]
         return phase
 
-    def _checked(self, argument: str, values: Mapping[str, object] | None) -> dict[str, tuple[float, ...]]:
+    def check_command(self, argument: str, numbers: Mapping[str, tuple[float, ...]]) -> None:
         """Refuse what any draw would make a wave that cannot be sampled."""
-        checked = super()._checked(argument, values)
-        drawn = {name: (bounds.low, bounds.high) for name, bounds in self.commands.items()} | self.among | checked
-        for speed, wavelength in product(drawn["speed"], drawn["wavelength"]):
+        for speed, wavelength in product(numbers["speed"], numbers["wavelength"]):
             self._check_wave(argument, speed, wavelength)
-        return checked
 
     def _check_wave(self, argument: str, speed: float, wavelength: float) -> None:
         """Refuse a wave that stands, or that is too fast to be sampled by control steps."""
@@ -164,7 +194,8 @@ class Peristalsis(Task):
                 f"{self.control_dt:g} s)"
             )
 
-    def _commands(self) -> dict[str, Command]:
+    def command_ranges(self) -> dict[str, Command]:
+        """Upward speed, length, amplitude and phase of the wave."""
         height = self.lattice.design.height
         # Phases of neighbouring levels are told apart below half a turn; a third leaves room.
         shortest = 3.0 * float(np.diff(self.height).max())
@@ -175,3 +206,51 @@ class Peristalsis(Task):
             "amplitude": Command(0.04, 0.07, 0.001, 0.5, "share of the rest radius"),
             "phase": Command(0.0, TURN, -TURN, TURN, "rad"),
         }
+
+
+def peristalsis_gait(
+    lattice: Lattice,
+    layout: MuscleLayout,
+    speed: float,
+    wavelength: float,
+    amplitude: float,
+    phase: float = 0.0,
+    ring_share: float = RING_SHARE,
+    top_share: float = TOP_SHARE,
+    lead: float = LEAD,
+) -> Gait:
+    """Rings and vertical muscles in antiphase, as a wave along the body.
+
+    Vertical muscles contract where the commanded wave is wide, ring muscles where it is narrow.
+
+    Parameters
+    ----------
+    lattice, layout
+        The body and its muscles.
+    speed, wavelength, amplitude, phase
+        The commanded wave of ring radii: upward speed [m/s], wavelength [m], amplitude over the rest radius, phase at
+        the base at time 0 [rad].
+    ring_share
+        Drive of ring muscles over that of vertical ones.
+    top_share
+        Further share for the rings of the top level.
+    lead
+        Time by which commands run ahead of the wave [s].
+
+    """
+    check_numbers(-MOST, speed=speed, phase=phase, lead=lead)
+    check_numbers(LEAST, wavelength=wavelength, amplitude=amplitude)
+    check_numbers(0.0, ring_share=ring_share, top_share=top_share)
+    if speed == 0.0:
+        raise ValueError(f"speed = {speed!r}: must not be 0, a wave that stands")
+    along, height = longitudinal(lattice, layout), muscle_middles(lattice, layout)[:, 2]
+    at_top = ~along & (height > lattice.design.height * (1.0 - 1e-9))
+    share = np.where(along, 1.0, ring_share) * np.where(at_top, top_share, 1.0)
+    drive = 0.5 * min(1.0, amplitude / FULL_DRIVE_AMPLITUDE) * share
+    return Gait(
+        offset=drive,
+        swing=np.where(along, drive, -drive),
+        phase=TURN * height / wavelength - phase,
+        frequency=speed / wavelength,
+        lead=lead,
+    )

@@ -8,10 +8,17 @@ from typing import Any, ClassVar, final
 import numpy as np
 import numpy.typing as npt
 
+from lattice_gym.body.lattice import Lattice
+from lattice_gym.body.muscles import MuscleLayout
 from lattice_gym.checks import TURN, FloatArray, IntArray
 from lattice_gym.physics.measures import base_frame, top_centre
 from lattice_gym.physics.state import Motion
-from lattice_gym.tasks.base import COMMAND_BOUND, GOAL_SCALE, Command, Given, GoalTask, effort
+from lattice_gym.tasks.base import COMMAND_BOUND, GOAL_SCALE, LONGEST_STRAIN, Command, Given, GoalTask, RewardTerm
+from lattice_gym.tasks.gait import MOST, Gait, check_numbers, hold, longitudinal, muscle_middles, needed
+
+REACH_SHARPNESS = (3.8, 44.0)
+REACH_LENGTHENING = (6.7, 5.5)
+"""Coefficients of `reaching_gait`: least squares over what the default design reached."""
 
 
 def _goal_distance(achieved: npt.NDArray[np.float32], desired: npt.NDArray[np.float32]) -> FloatArray:
@@ -36,7 +43,10 @@ class Reach(GoalTask):
 
     name = "reach"
     layout = "all"
-    term_names = ("approach", "effort")
+    time_limit = 60
+    # A target lies within 3 heights of where the top rests.
+    rewards: ClassVar[Mapping[str, RewardTerm]] = {"approach": RewardTerm(1.0, -LONGEST_STRAIN - 3.0, 3.0)}
+    training: ClassVar[Mapping[str, Any]] = {"control": "column", "gamma": 0.8}
     goal_term = "approach"
     n_goal = 3
     bounds = (COMMAND_BOUND,) * n_goal
@@ -44,12 +54,14 @@ class Reach(GoalTask):
     REACHED: ClassVar[float] = 0.03
     """Distance within which a target counts as reached [heights]."""
 
-    def _prepare(self) -> None:
+    def prepare(self) -> None:
+        """Measure where the top rests."""
         rest = self.model.rest_state().position
         self.origin = top_centre(self.lattice, rest)
         self.axes = base_frame(self.lattice, rest)
 
-    def _blank(self) -> dict[str, FloatArray]:
+    def blank_memory(self) -> dict[str, FloatArray]:
+        """When the target was first reached [s]; 0: not yet."""
         return {"reach_time": np.zeros(())}
 
     def achieved(self, motion: Motion) -> npt.NDArray[np.float32]:
@@ -82,11 +94,11 @@ class Reach(GoalTask):
         return np.asarray(way, dtype=np.float64)
 
     def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
-        """How much nearer the target is than at rest, and effort."""
+        """How much nearer the target is than at rest [heights]."""
         achieved, desired, reached = self.achieved(motion), self.desired(), self.memory["reach_time"]
         new = (reached == 0.0) & (_goal_distance(achieved, desired) <= self.REACHED)
         self.memory["reach_time"] = np.where(new, time, reached)
-        return {"approach": self.goal_reward(achieved, desired), "effort": effort(activation)}
+        return {"approach": self.goal_reward(achieved, desired)}
 
     def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Distance from the target [m], whether it was reached at all (1 or 0), and when [s], 0 if not."""
@@ -98,12 +110,23 @@ class Reach(GoalTask):
             "reach_time": reach_time,
         }
 
-    def _caption(self, outcome: Mapping[str, float], worm: int) -> str:
+    @classmethod
+    def errors(cls, outcome: Mapping[str, float], command: Mapping[str, float]) -> dict[str, float]:
+        """Return the outcome, without the time [s] at which the target was reached where it was not."""
+        return {name: value for name, value in outcome.items() if name != "reach_time" or outcome["reached"]}
+
+    def describe(self, outcome: Mapping[str, float], worm: int) -> str:
         """Distance from the target, and when it was reached."""
         reached = f", reached after {outcome['reach_time']:.2f} s" if outcome["reached"] else ""
         return f"{1000.0 * outcome['distance']:.1f} mm from the target{reached}"
 
-    def _commands(self) -> dict[str, Command]:
+    @classmethod
+    def gait(cls, lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
+        """Bend towards the target that is held, lower or higher by all verticals or rings."""
+        return reaching_gait(lattice, layout, **needed(cls.name, command, "azimuth", "radius", "rise"))
+
+    def command_ranges(self) -> dict[str, Command]:
+        """Place of the target in cylindrical coordinates about the top at rest."""
         return {
             "azimuth": Command(0.0, TURN, -TURN, TURN, "rad"),
             "radius": Command(0.05, 0.2, 0.0, 1.5, "heights"),
@@ -113,3 +136,20 @@ class Reach(GoalTask):
 
 EIGHT_TARGETS: Given = {"azimuth": [TURN * k / 8 for k in range(8)], "radius": 0.2, "rise": -0.05}
 """Command of `Reach` for eight targets on a circle, as in Schaffer et al. 2024 (arXiv 2408.16069), within reach."""
+
+
+def reaching_gait(lattice: Lattice, layout: MuscleLayout, azimuth: float, radius: float, rise: float) -> Gait:
+    """Hold a bend towards the azimuth [rad], and the verticals or the rings all round to lower or raise the top.
+
+    Sharpness of the bend s = p radius + q radius^3, where the bend alone lowers the top by about 5.5 / 6.7 radius^2,
+    and lengthening b = u rise + v radius^2; radius and rise in heights. Verticals take s cos + max(-b, 0), rings
+    -s cos + max(b, 0), with the cosine of the angle from the azimuth.
+    """
+    check_numbers(-MOST, azimuth=azimuth, rise=rise)
+    check_numbers(0.0, radius=radius)
+    sharpness = REACH_SHARPNESS[0] * radius + REACH_SHARPNESS[1] * radius**3
+    lengthening = REACH_LENGTHENING[0] * rise + REACH_LENGTHENING[1] * radius**2
+    middle = muscle_middles(lattice, layout)
+    bend = sharpness * np.cos(np.arctan2(middle[:, 1], middle[:, 0]) - azimuth)
+    shorten, lengthen = max(-lengthening, 0.0), max(lengthening, 0.0)
+    return hold(np.where(longitudinal(lattice, layout), bend + shorten, lengthen - bend))

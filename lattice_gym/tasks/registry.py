@@ -1,14 +1,23 @@
-"""Every task by name."""
+"""Every task of this package by name, and those of anybody else by class or "module:Class"."""
 
 from __future__ import annotations
 
+import pkgutil
+import warnings
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice
-from lattice_gym.physics.assembly import RodModel
-from lattice_gym.tasks.base import Given, Task
+from lattice_gym.body.muscles import MuscleLayout
+from lattice_gym.checks import shown
+from lattice_gym.tasks.base import Task
 from lattice_gym.tasks.bending import Bending
 from lattice_gym.tasks.compression import Compression
 from lattice_gym.tasks.crawl import Crawl
 from lattice_gym.tasks.extension import Extension
+from lattice_gym.tasks.gait import Gait
 from lattice_gym.tasks.peristalsis import Peristalsis
 from lattice_gym.tasks.reach import Reach
 from lattice_gym.tasks.transport import Transport
@@ -16,18 +25,83 @@ from lattice_gym.tasks.transport import Transport
 TASKS: dict[str, type[Task]] = {
     task.name: task for task in (Extension, Compression, Bending, Peristalsis, Reach, Crawl, Transport)
 }
-"""Every task by name."""
+"""Every task of this package by name."""
+NEEDED = ("name", "time_limit", "rewards")
+"""What a task must state beside its methods."""
 
 
-def make_task(
-    name: str,
-    lattice: Lattice,
-    control_dt: float,
-    command: Given | None = None,
-    model: RodModel | None = None,
-    n_worm: int = 1,
-) -> Task:
-    """Task by name; see Task for the arguments."""
-    if not isinstance(name, str) or name not in TASKS:
-        raise ValueError(f"task = {name!r}: must be one of {', '.join(TASKS)}")
-    return TASKS[name](lattice, control_dt, command, model, n_worm)
+def resolve_task(task: object) -> type[Task]:
+    """Return the task of a name in TASKS, of a string "module:Class", or that is given as a class.
+
+    Raises
+    ------
+    ValueError
+        Something else, a module that cannot be imported, or a class that lacks what a task must have.
+    """
+    kind = TASKS.get(task, task) if isinstance(task, str) else task
+    if isinstance(kind, str) and ":" in kind:
+        try:
+            kind = pkgutil.resolve_name(kind)
+        except Exception as error:  # whatever the module raises
+            raise ValueError(f"task = {task!r}: cannot be imported: {type(error).__name__}: {error}") from error
+    if not (isinstance(kind, type) and issubclass(kind, Task)):
+        names = ", ".join(TASKS)
+        raise ValueError(f'task = {shown(task)}: must be one of {names}, a Task subclass or "module:Class" of one')
+    missing = [name for name in NEEDED if not hasattr(kind, name)] + sorted(kind.__abstractmethods__)
+    if missing:
+        raise ValueError(f"task = {shown(task)}: lacks {', '.join(missing)}")
+    return kind
+
+
+def task_label(task: type[Task]) -> str:
+    """Return the string of which `resolve_task` makes this task again; a ValueError if there is none."""
+    if TASKS.get(task.name) is task:
+        return task.name
+    label = f"{task.__module__}:{task.__qualname__}"
+    try:
+        found = pkgutil.resolve_name(label)
+    except (ImportError, AttributeError, ValueError):
+        found = None
+    if found is not task:
+        raise ValueError(f"task = {task!r}: cannot be imported as {label!r}; define it at the top of a module")
+    return label
+
+
+def design_for(task: str | type[Task], **changes: Any) -> LatticeDesign:
+    """Return the design that a task is meant for, with changes by field: `design_for("crawl", height=0.2)`."""
+    return LatticeDesign.from_dict({**resolve_task(task).design, **changes})
+
+
+def warn_of_dropped_values(design: LatticeDesign, task: type[Task]) -> None:
+    """Warn of a design that has the default where the task has a value of its own, as if nobody had decided that."""
+    default = LatticeDesign()
+    names = [name for name, own in task.design.items() if getattr(design, name) == getattr(default, name) != own]
+    if names:
+        has, own = (
+            ", ".join(f"{name} = {value(name)!r}" for name in names)
+            for value in (partial(getattr, design), task.design.__getitem__)
+        )
+        label = repr(task.name) if TASKS.get(task.name) is task else task.__name__
+        warnings.warn(
+            f"design: this LatticeDesign has the default {has} where {task.name} has {own}: start from "
+            f"lattice_gym.design_for({label}, ...); where the default is meant, give it in a dict",
+            stacklevel=2,
+        )
+
+
+def gait(task: str | type[Task], lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
+    """Return the open-loop gait of a task, given what it commands; muscles of no use to it rest.
+
+    A command is the task's own (`env.unwrapped.task.command`): bending needs `azimuth`, reach `azimuth`,
+    `radius` and `rise`, crawl and transport `direction`, peristalsis `speed`, `wavelength`, `amplitude` and `phase`.
+
+    Raises
+    ------
+    ValueError
+        A task that has none, or a command that lacks what it needs.
+    """
+    kind = resolve_task(task)
+    found = kind.gait(lattice, layout, command)
+    if found is None:
+        raise ValueError(f"task = {shown(task)}: {kind.name} has no gait")
+    return found

@@ -1,0 +1,94 @@
+"""Gymnasium ids of tasks."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium
+from gymnasium.envs.registration import EnvSpec
+
+from lattice_gym.checks import shown
+from lattice_gym.tasks.base import GoalTask, Task
+from lattice_gym.tasks.registry import TASKS, resolve_task, task_label
+
+_warned: set[tuple[str, type[Task]]] = set()
+
+DEFAULT_TASK = "peristalsis"
+"""Task of the id without a task's name."""
+
+
+def register_task(task: str | type[Task], id: str, goals: bool = False) -> None:
+    """Register an id for a task, with its time limit, for `gymnasium.make` and `gymnasium.make_vec`.
+
+    Parameters
+    ----------
+    task
+        As in `LatticeWormEnv`: a name, "module:Class", or a class that can be imported from its module, so that specs
+        survive JSON.
+    id
+        Such as "Twist-v0".
+    goals
+        Whether goals are observed apart, as `LatticeWormGoalEnv` does; for a `GoalTask`.
+
+    Raises
+    ------
+    ValueError
+        What is no task, goals of a task that has none, or an id that is already something else. The same again is
+        fine.
+    gymnasium.error.Error
+        What is no id.
+
+    """
+    kind = resolve_task(task)
+    if goals and not issubclass(kind, GoalTask):
+        raise ValueError(f"goals = {goals!r}: {kind.name} is no GoalTask")
+    entry, vector = (
+        ("goal:LatticeWormGoalEnv", "goal:LatticeWormGoalVectorEnv")
+        if goals
+        else ("env:LatticeWormEnv", "vector:LatticeWormVectorEnv")
+    )
+    spec = EnvSpec(
+        id,
+        entry_point=f"lattice_gym.envs.{entry}",
+        max_episode_steps=kind.time_limit,
+        kwargs={"task": task_label(kind)},
+        vector_entry_point=f"lattice_gym.envs.{vector}",
+    )
+    known = gymnasium.registry.get(id)
+    if known is None:
+        gymnasium.register(
+            id,
+            entry_point=spec.entry_point,
+            max_episode_steps=spec.max_episode_steps,
+            kwargs=spec.kwargs,
+            vector_entry_point=spec.vector_entry_point,
+        )
+    elif known != spec:
+        raise ValueError(f"id = {shown(id)}: is registered already, as {shown(known)}")
+
+
+def register_builtin_tasks() -> None:
+    """Register the ids of this package: one for each task, one more for each that has goals, and `LatticeWorm-v0`."""
+    register_task(DEFAULT_TASK, "LatticeWorm-v0")
+    for name, task in TASKS.items():
+        register_task(task, f"LatticeWorm{name.title()}-v0")
+        if issubclass(task, GoalTask):
+            register_task(task, f"LatticeWorm{name.title()}Goal-v0", goals=True)
+
+
+def warn_of_time_limit(spec: EnvSpec | None, task: type[Task], n_step: int) -> None:
+    """Warn once of an id whose time limit is not its task's, where that has ended an episode after so many steps.
+
+    Whether the limit is the registered one cannot be told before: `gymnasium.make(..., max_episode_steps=...)` leaves
+    the specification of the bare environment as it is.
+    """
+    registered = None if spec is None else gymnasium.registry.get(spec.id)
+    if spec is None or registered is None or (spec.id, task) in _warned:
+        return
+    if n_step == registered.max_episode_steps != task.time_limit:
+        _warned.add((spec.id, task))
+        warnings.warn(
+            f"{spec.id} ends episodes after {n_step} steps, {task.name} is made for {task.time_limit}: give "
+            f"max_episode_steps={task.time_limit}, or an id of its own with lattice_gym.register_task",
+            stacklevel=3,
+        )
