@@ -24,13 +24,13 @@ from agents.command_line import as_program, options
 from agents.config import InputError, TrainConfig
 from agents.environments import Env, make_env, make_vector_env
 from agents.training import new_model
-from lattice_gym.engines.batch import BatchEngine
+from lattice_gym.engines.base import Engine
 from lattice_gym.recording.provenance import footer
 
 PARTS = ("physics", "environment", "adapter", "policy", "update")
 """What PPO spends its time on, each without those before it: integrating the rods; observations, rewards and whatever
 else the environment does in a step; handing that over, checked for NaN and normalised; choosing actions; learning."""
-PHYSICS = (BatchEngine, "advance")
+PHYSICS = (Engine, "advance")
 """Whose method integrates the rods."""
 
 Measured = dict[str, float]

@@ -47,7 +47,7 @@ from lattice_gym.body.muscles import (
     vertical,
 )
 from lattice_gym.checks import Part
-from lattice_gym.engines.registry import make_engine
+from lattice_gym.engines.simulation import simulate
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.physics.assembly import Clamp, Joint, Line, PointForce, PointTorque, RodModel
 from lattice_gym.physics.laws.activation import advance_activation
@@ -473,7 +473,7 @@ def _huge(value: Any) -> bool:
 
 def make_engines(call: dict[str, Any]) -> None:
     """Check that an engine that is taken advances by the time asked for."""
-    engine = make_engine(model=small_model(), **call["make"])
+    engine = simulate(model=small_model(), **call["make"])
     state, junk = small_model().rest_state(), call["state"]
     state = replace(state, **{name: value for name, value in junk.items() if value is not None})
     engine.restore(state)
@@ -545,7 +545,7 @@ def _part(name: str) -> st.SearchStrategy[tuple[str, Any]]:
 def make_model(call: list[tuple[str, Any]]) -> None:
     """Check that a model that is taken can be stepped, whatever comes of it."""
     model = RodModel(rods=(good_rod(), straight_rod(**{**_ROD, "start": (1, 0, 0), "end": (1, 0, 1)})), **dict(call))
-    engine = make_engine("fused", model, 1e-9)
+    engine = simulate("fused", model, 1e-9)
     with np.errstate(all="ignore"):
         engine.advance(np.zeros(model.n_muscle), 1)
     assert engine.state.position.shape == (model.n_node, 3)

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,10 +17,11 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine, Status
-from lattice_gym.engines.batch import BatchEngine
+from lattice_gym.engines.base import Engine
 from lattice_gym.engines.fused.pack import Pack
+from lattice_gym.engines.health import Status
 from lattice_gym.engines.registry import make_engine
+from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import PointTorque, RodModel
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.hill import Hill
@@ -53,7 +54,7 @@ def assert_equal(one: RodState, other: RodState) -> None:
     assert one.time == other.time
 
 
-def assert_as_alone(batch: BatchEngine, engines: list[Engine], tension: FloatArray, n_substeps: int) -> list[Status]:
+def assert_as_alone(batch: Engine, engines: list[Simulation], tension: FloatArray, n_substeps: int) -> list[Status]:
     """Advance worms side by side and alone, and compare all that a batch shows; return how they ended."""
     before = batch.position.copy(), batch.velocity.copy()
     codes = batch.advance(tension, n_substeps)
@@ -90,15 +91,13 @@ def test_worms_side_by_side_move_as_alone(name: str) -> None:
     base, splitting = SCENES[name]
     softness = [1.0, 0.8, 1.3]
     models = [soften(base, softness[k % 3]) for k in range(7)]
-    batch = BatchEngine(models, DT, splitting, num_threads=2)
-    engines = [make_engine("fused", model, DT, splitting) for model in models]
+    batch = make_engine("fused", models, DT, splitting, num_threads=2)
+    engines = [simulate("fused", model, DT, splitting) for model in models]
     for call in range(3):
         ends = assert_as_alone(batch, engines, pulls(base, 7, call), 40)
         assert set(ends) == {Status.OK}
     apart = np.abs(batch.position[0] - batch.position[1:]).max(axis=(1, 2))
     assert (apart > 0.0).all()
-    # What cannot share a pack has an engine of its own.
-    assert (len(batch._parts) == len(models)) == (name in ("by direction", "contact", "bolus"))
     batch.close()
 
 
@@ -117,16 +116,16 @@ def soften(model: RodModel, factor: float) -> RodModel:
 
 
 @pytest.fixture
-def four() -> Iterator[tuple[BatchEngine, list[Engine], RodModel]]:
+def four() -> Iterator[tuple[Engine, list[Simulation], RodModel]]:
     """Four worms in one thread, and the same alone."""
     model = worm(layout="all", base="free")
-    batch = BatchEngine([model] * 4, DT, "symmetric", num_threads=1)
-    yield batch, [make_engine("fused", model, DT, "symmetric") for _ in range(4)], model
+    batch = make_engine("fused", [model] * 4, DT, "symmetric", num_threads=1)
+    yield batch, [simulate("fused", model, DT, "symmetric") for _ in range(4)], model
     batch.close()
 
 
 @pytest.mark.parametrize("number", [1e200, 2e4])
-def test_a_neighbour_that_fails_is_not_felt(four: tuple[BatchEngine, list[Engine], RodModel], number: float) -> None:
+def test_a_neighbour_that_fails_is_not_felt(four: tuple[Engine, list[Simulation], RodModel], number: float) -> None:
     """One worm turns NaN, or its elements turn so fast and bend so far that they leave the reach of the series."""
     batch, engines, model = four
     rest = model.rest_state()
@@ -144,7 +143,7 @@ def test_a_neighbour_that_fails_is_not_felt(four: tuple[BatchEngine, list[Engine
     assert set(assert_as_alone(batch, engines, pulls(model, 4, 2), 15)) == {Status.OK}
 
 
-def test_a_large_turn_takes_no_lane_along(four: tuple[BatchEngine, list[Engine], RodModel]) -> None:
+def test_a_large_turn_takes_no_lane_along(four: tuple[Engine, list[Simulation], RodModel]) -> None:
     """A neighbour that turns by more than the series hold, and survives, changes no bit of the others."""
     batch, engines, model = four
     rest = model.rest_state()
@@ -158,7 +157,7 @@ def test_a_large_turn_takes_no_lane_along(four: tuple[BatchEngine, list[Engine],
     assert_as_alone(batch, engines, pulls(model, 4), 1)
 
 
-def test_restore_and_replace(four: tuple[BatchEngine, list[Engine], RodModel]) -> None:
+def test_restore_and_replace(four: tuple[Engine, list[Simulation], RodModel]) -> None:
     """A worm goes back to where it was, one begins anew of another material, and one with a torque of its own."""
     batch, engines, model = four
     assert_as_alone(batch, engines, pulls(model, 4), 20)
@@ -169,19 +168,19 @@ def test_restore_and_replace(four: tuple[BatchEngine, list[Engine], RodModel]) -
     np.testing.assert_array_equal(batch.position[3], kept.position)
     other = soften(model, 0.7)
     batch.replace(0, other)
-    engines[0] = make_engine("fused", other, DT, "symmetric")
+    engines[0] = simulate("fused", other, DT, "symmetric")
     np.testing.assert_array_equal(batch.position[0], other.rest_state().position)
     assert set(assert_as_alone(batch, engines, pulls(model, 4, 2), 20)) == {Status.OK}
     torque = replace(other, torques=(PointTorque(0, 1, (0.0, 0.0, 1e-3)),))
     before = batch.state(1)
     batch.replace(2, torque)
-    engines[2] = make_engine("fused", torque, DT, "symmetric")
+    engines[2] = simulate("fused", torque, DT, "symmetric")
     assert_equal(batch.state(1), before)
     assert set(assert_as_alone(batch, engines, pulls(model, 4, 3), 20)) == {Status.OK}
     assert batch.models[2] is torque
 
 
-def test_repacking_keeps_what_a_failed_worm_showed(four: tuple[BatchEngine, list[Engine], RodModel]) -> None:
+def test_repacking_keeps_what_a_failed_worm_showed(four: tuple[Engine, list[Simulation], RodModel]) -> None:
     """Another worm's new feature neither heals a worm that failed nor shows where it went."""
     batch, _, model = four
     batch.restore(1, replace(model.rest_state(), velocity=np.full((model.n_node, 3), 1e200)))
@@ -195,15 +194,15 @@ def test_repacking_keeps_what_a_failed_worm_showed(four: tuple[BatchEngine, list
 
 
 def test_checks_and_the_reference_behind_the_same_face() -> None:
-    """Where worms cannot be packed each has an engine of its own, with its statuses."""
+    """Both engines give the statuses of worms alone, with the checks too."""
     model = SCENES["extension"][0]
-    reference = BatchEngine([model] * 2, DT, engine="pyelastica")
-    assert_as_alone(reference, [make_engine("pyelastica", model, DT) for _ in range(2)], pulls(model, 2), 5)
-    checked = BatchEngine([model] * 2, DT, energy_check=True, step_check=True, num_threads=2)
-    engines = [make_engine("fused", model, DT, energy_check=True, step_check=True) for _ in range(2)]
+    reference = make_engine("pyelastica", [model] * 2, DT)
+    assert_as_alone(reference, [simulate("pyelastica", model, DT) for _ in range(2)], pulls(model, 2), 5)
+    checked = make_engine("fused", [model] * 2, DT, energy_check=True, step_check=True, num_threads=2)
+    engines = [simulate("fused", model, DT, energy_check=True, step_check=True) for _ in range(2)]
     assert set(assert_as_alone(checked, engines, pulls(model, 2), 20)) == {Status.OK}
     checked.replace(0, soften(model, 0.7))
-    engines[0] = make_engine("fused", soften(model, 0.7), DT, energy_check=True, step_check=True)
+    engines[0] = simulate("fused", soften(model, 0.7), DT, energy_check=True, step_check=True)
     assert set(assert_as_alone(checked, engines, pulls(model, 2), 20)) == {Status.OK}
     checked.close()
 
@@ -211,7 +210,7 @@ def test_checks_and_the_reference_behind_the_same_face() -> None:
 def test_threads_change_no_bit() -> None:
     """One thread or three, held tension or a ramp between equals: the same numbers; a closed batch can go on."""
     model = SCENES["symmetric"][0]
-    batches = [BatchEngine([model] * 9, DT, "symmetric", num_threads=n) for n in (1, 3)]
+    batches = [make_engine("fused", [model] * 9, DT, "symmetric", num_threads=n) for n in (1, 3)]
     pull = pulls(model, 9)[0]
     for _ in range(2):
         batches[0].advance(pull, 15)
@@ -227,7 +226,7 @@ def test_threads_change_no_bit() -> None:
 def test_a_fork_has_threads_of_its_own() -> None:
     """A process that is forked after threads have run goes on in it."""
     model = SCENES["symmetric"][0]
-    batch = BatchEngine([model] * 8, DT, "symmetric", num_threads=2)
+    batch = make_engine("fused", [model] * 8, DT, "symmetric", num_threads=2)
     pull = pulls(model, 8)
     batch.advance(pull, 5)
     child = multiprocessing.get_context("fork").Process(target=batch.advance, args=(pull, 5))
@@ -241,7 +240,7 @@ def test_a_fork_has_threads_of_its_own() -> None:
 def test_an_interrupted_call_leaves_no_thread_at_work(waiting: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Be it at work or waiting for others: what they have begun ends first, and nothing more begins."""
     models = [worm(), worm(), worm(hill=Hill()), worm(hill=Hill())]
-    batch, twin = (BatchEngine(models, DT, num_threads=threads) for threads in (2, 1))
+    batch, twin = (make_engine("fused", models, DT, num_threads=threads) for threads in (2, 1))
     advance, main, begun = Pack.advance, threading.main_thread(), threading.Event()
     theirs, ended, ours = list[Pack](), list[Pack](), list[Pack]()
 
@@ -289,13 +288,13 @@ def test_bad_input() -> None:
         (([model], DT, "other"), "splitting = 'other': must be one of"),
     ):
         with pytest.raises(ValueError, match=message):
-            BatchEngine(*arguments)
+            make_engine("fused", *arguments)
     for count in (0, -1, 1.5, True, "2"):
         with pytest.raises(ValueError, match=r"num_threads = .*: must be a whole number, at least 1, or None"):
-            BatchEngine([model], DT, num_threads=count)  # type: ignore[arg-type]
+            make_engine("fused", [model], DT, num_threads=cast(int, count))
     with pytest.raises(ValueError, match="engine = 'other': must be one of"):
-        BatchEngine([model], DT, engine="other")  # type: ignore[arg-type]
-    batch = BatchEngine([model] * 2, DT, num_threads=1)
+        make_engine("other", [model], DT)
+    batch = make_engine("fused", [model] * 2, DT, num_threads=1)
     n = model.n_muscle
     for tension in (np.zeros(n), np.zeros((3, n)), np.zeros((2, 3, n)), np.zeros((2, n + 1))):
         with pytest.raises(ValueError, match=r"tension: shape must be \(2, \d+\) or \(2, 2, \d+\), got"):

@@ -17,8 +17,9 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine, Status
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.health import Status
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import Ball, Clamp, PointForce, RodModel
 from lattice_gym.physics.energy import EnergyMeter, Ledger
 from lattice_gym.physics.laws.damping import Splitting
@@ -63,7 +64,7 @@ def test_rest(engine_name: EngineName, half: float) -> None:
     model = RodModel(
         **rails(*({-half, half})), bolus=ball(upright, stiffness=1e3, damping=40.0, force=(0.0, 0.0, -2.0))
     )
-    engine = make_engine(engine_name, model, 1e-3)
+    engine = simulate(engine_name, model, 1e-3)
     assert engine.advance([], 4000).ok
     x, y, z = engine.state.bolus_position[0]
     distance = np.hypot(half, z)
@@ -75,7 +76,7 @@ def test_bounce(engine_name: EngineName) -> None:
     """Without damping it comes back as fast: the step errs by at most the spring passed over within one."""
     model, start = RodModel(**rails(0.0), bolus=ball(0.12)), (0.0, 0.0, -1.0)
     for dt in (4e-4, 1e-4, 2.5e-5):
-        engine = make_engine(engine_name, model, dt)
+        engine = simulate(engine_name, model, dt)
         engine.restore(thrown(model, start))
         assert engine.advance([], round(0.06 / dt)).ok
         velocity = engine.state.bolus_velocity[0]
@@ -91,7 +92,7 @@ def test_a_damped_bounce(engine_name: EngineName) -> None:
     # k depth = c v_n where tan(rate t) = -2 decay rate / (rate^2 - decay^2): then the push ends for good.
     end = (np.pi - np.arctan2(2.0 * decay * rate, rate**2 - decay**2)) / rate
     left = np.exp(-decay * end) * abs(np.cos(rate * end) - decay / rate * np.sin(rate * end))
-    engine = make_engine(engine_name, model, 1e-5)
+    engine = simulate(engine_name, model, 1e-5)
     engine.restore(thrown(model, (0.0, 0.0, -1.0)))
     assert engine.advance([], 5000).ok
     assert engine.state.bolus_velocity[0, 2] == pytest.approx(left, rel=1e-3)
@@ -108,7 +109,7 @@ def test_friction_spins_the_ball(engine_name: EngineName) -> None:
     assert model.bolus is not None
     inertia = model.bolus.inertia
     assert inertia == pytest.approx(0.4 * RADIUS**2)
-    engine = make_engine(engine_name, model, 1e-4)
+    engine = simulate(engine_name, model, 1e-4)
     engine.restore(thrown(model, (1.0, 0.0, 0.0)))
     assert engine.advance([], 500).ok
     state = engine.state
@@ -139,7 +140,7 @@ def test_friction_holds(engine_name: EngineName, dt: float) -> None:
     model = gripped((0.8 * load, 0.0, -0.6 * load))
     assert model.bolus is not None
     turning = arm**2 / model.bolus.inertia
-    engine = make_engine(engine_name, model, dt)
+    engine = simulate(engine_name, model, dt)
     assert engine.advance([], round(time / dt)).ok
     way = engine.state.bolus_position[0] - model.rest_state().bolus_position[0]
     assert np.linalg.norm(way) < ((turning - 1.0) / (turning + 1.0)) ** 12 * load * dt * time
@@ -148,7 +149,7 @@ def test_friction_holds(engine_name: EngineName, dt: float) -> None:
 def test_friction_yields(engine_name: EngineName) -> None:
     """Above the limit it slides off with what the load has beyond it: without error, as the force is constant."""
     model = gripped((0.9, 0.0, 0.0))
-    engine = make_engine(engine_name, model, 1e-3)
+    engine = simulate(engine_name, model, 1e-3)
     assert engine.advance([], 500).ok
     state = engine.state
     assert state.bolus_position[0] == pytest.approx([2.0 + 0.5 * 0.3 * 0.5**2, 0.0, 0.0], abs=1e-12)
@@ -164,7 +165,7 @@ def test_a_worm_holds_it(shorter: int) -> None:
     is a stiff dashpot to what goes on settling there.
     """
     model, dt = worm(Medium(density=967.0), friction=0.3)
-    engine = make_engine("fused", model, dt / shorter, "symmetric")
+    engine = simulate("fused", model, dt / shorter, "symmetric")
     pull, height = np.full(model.n_muscle, 0.2), []
     for time in (3.0, 1.5):
         assert engine.advance(pull, round(time / engine.dt)).ok
@@ -184,7 +185,7 @@ def test_friction_feeds_nothing(engine_name: EngineName, friction: float) -> Non
         bolus_omega=np.array([[5.0, 3.0, -2.0]]),
     )
     for one in (model, replace(model, bolus=replace(rubbing, friction=0.0))):
-        engine = make_engine(engine_name, one, 1e-4)
+        engine = simulate(engine_name, one, 1e-4)
         engine.restore(start)
         assert engine.advance([], 1).ok
         stored = EnergyMeter(one).stored(engine.state)
@@ -218,7 +219,7 @@ def test_momentum(engine_name: EngineName, x: float) -> None:
     )
     model = RodModel(rods=(rod,), bolus=hitting)
     start = replace(thrown(model, (0.3, -0.2, -1.0)), bolus_omega=np.array([[5.0, 3.0, -2.0]]))
-    engine = make_engine(engine_name, model, 1e-5)
+    engine = simulate(engine_name, model, 1e-5)
     engine.restore(start)
     before = momenta(model, start)
     assert engine.advance([], 1).ok
@@ -242,7 +243,7 @@ def test_two_bodies(engine_name: EngineName) -> None:
     model = RodModel(rods=(rod,), bolus=ball(0.0, position=place, stiffness=stiffness, mass=2.0))
     inertia = float(rod.mass @ rod.position[:, 0] ** 2 + rod.inertia.sum())
     effective = 1.0 / (1.0 / 2.0 + 1.0 / rod.mass.sum() + arm**2 / inertia)
-    engine = make_engine(engine_name, model, 0.5 * stable_dt(model))
+    engine = simulate(engine_name, model, 0.5 * stable_dt(model))
     engine.restore(thrown(model, (0.0, 0.0, -0.1)))
     contact = np.pi * np.sqrt(effective / stiffness)
     assert engine.advance([], round((0.001 + 1.5 * contact) / engine.dt)).ok
@@ -261,7 +262,7 @@ def worm(medium: Medium | None = None, **bolus: Any) -> tuple[RodModel, float]:
 def test_engines_agree() -> None:
     """A squeeze of one second by random tensions: to rounding after a step, to 1e-9 m and more after all of them."""
     model, dt = worm(Medium(density=900.0), friction=0.4)
-    engines = [make_engine(name, model, dt) for name in ("fused", "pyelastica")]
+    engines = [simulate(name, model, dt) for name in ("fused", "pyelastica")]
     start = replace(
         thrown(model, (0.03, -0.02, 0.05)),
         bolus_position=model.rest_state().bolus_position + np.array([1e-3, 2e-3, 0.0]),
@@ -293,7 +294,7 @@ def test_engines_agree_with_all_around() -> None:
     model = build_model(lattice, named_layout("all", lattice), world)
     dt, states = default_dt(model, 0.05, 0.5), []
     for name in ("fused", "pyelastica"):
-        engine = make_engine(name, model, dt)
+        engine = simulate(name, model, dt)
         assert engine.advance(np.full((2, model.n_muscle), 0.3), round(0.1 / dt)).ok
         states.append(engine.state)
     assert np.linalg.norm(states[0].bolus_position - model.rest_state().bolus_position) > 1e-6
@@ -302,7 +303,7 @@ def test_engines_agree_with_all_around() -> None:
         assert np.abs(getattr(states[0], field) - getattr(states[1], field)).max() < 1e-10 * scale, field
 
 
-def carried(engines: list[Engine], lattice: Lattice, layout: MuscleLayout, time: float) -> list[Ledger]:
+def carried(engines: list[Simulation], lattice: Lattice, layout: MuscleLayout, time: float) -> list[Ledger]:
     """Let the hand-made wave carry the ball; ledgers of all engines, in turn, every 50 ms."""
     wave, entries, pull = gait("transport", lattice, layout, {"direction": 1.0}), [], np.zeros(len(layout.active))
     for k in range(round(time / 0.05)):
@@ -320,7 +321,7 @@ def test_a_wave_carries_alike() -> None:
     layout = named_layout("all", lattice)
     model = build_model(lattice, layout, Transport.world(lattice))
     dt = default_dt(model, 0.05, 1.0)
-    engines = [make_engine(name, model, dt, energy_check=True) for name in ("fused", "pyelastica")]
+    engines = [simulate(name, model, dt, energy_check=True) for name in ("fused", "pyelastica")]
     entries = carried(engines, lattice, layout, 0.5)
     a, b = (engine.state for engine in engines)
     assert np.linalg.norm(b.bolus_position - model.rest_state().bolus_position) > 1e-3
@@ -341,7 +342,7 @@ def test_a_wave_keeps_momentum(engine_name: EngineName) -> None:
     layout = named_layout("all", lattice)
     bolus = Transport.world(lattice).bolus
     model = build_model(lattice, layout, World(bolus=bolus))
-    engine = make_engine(engine_name, model, default_dt(model, 0.05, 1.0), energy_check=True)
+    engine = simulate(engine_name, model, default_dt(model, 0.05, 1.0), energy_check=True)
     carried([engine], lattice, layout, 0.2)
     state = engine.state
     moving = model.node_mass @ np.linalg.norm(state.velocity, axis=1)
@@ -355,13 +356,13 @@ def test_restart_is_exact(engine_name: EngineName) -> None:
     """The ball goes on to the last bit from a state, which shares no memory with the engine."""
     model, dt = worm()
     pull = np.random.default_rng(2).uniform(0.0, 0.5, model.n_muscle)
-    first = make_engine(engine_name, model, dt)
+    first = simulate(engine_name, model, dt)
     first.restore(replace(model.rest_state(), bolus_omega=np.array([[1.0, 2.0, 3.0]])))
     first.advance(pull, 20)
     saved = first.state
     kept = saved.copy()
     first.advance(pull, 20)
-    second = make_engine(engine_name, model, dt)
+    second = simulate(engine_name, model, dt)
     second.restore(saved)
     second.advance(pull, 20)
     for field in FIELDS:
@@ -373,7 +374,7 @@ def test_restart_is_exact(engine_name: EngineName) -> None:
 def test_a_lost_ball_is_named(engine_name: EngineName) -> None:
     """One that is nowhere ends the run, though every rod is well."""
     model = RodModel(**rails(0.0), bolus=ball(50.0))
-    engine = make_engine(engine_name, model, 10.0)
+    engine = simulate(engine_name, model, 10.0)
     engine.restore(thrown(model, (0.0, 0.0, 1e307)))
     assert engine.advance([], 1).ok
     assert engine.advance([], 10).status is Status.NON_FINITE
@@ -396,7 +397,7 @@ def test_the_ledger_balances(engine_name: EngineName) -> None:
         bolus=ball(REACH, damping=5.0, friction=0.3, force=(0.0, 0.0, -9.81)),
     )
     for dt in (2e-4, 1e-4, 5e-5):
-        engine = make_engine(engine_name, model, dt, energy_check=True)
+        engine = simulate(engine_name, model, dt, energy_check=True)
         engine.restore(thrown(model, (1.0, 0.0, -0.5)))
         assert engine.advance([], round(0.1 / dt)).ok
         entry = engine.ledger
@@ -411,7 +412,7 @@ def test_a_worm_keeps_its_books() -> None:
     model, dt = worm(Medium(density=900.0))
     entries = []
     for name in ("fused", "pyelastica"):
-        engine = make_engine(name, model, dt, energy_check=True)
+        engine = simulate(name, model, dt, energy_check=True)
         engine.restore(thrown(model, (0.0, 0.0, 0.1)))
         assert engine.advance(np.full((2, model.n_muscle), 0.3), 200).ok
         entry = engine.ledger
@@ -432,7 +433,7 @@ def test_books_close_where_a_ball_drags_what_the_ground_holds() -> None:
     model = RodModel(rods=(rod,), bolus=rider, gravity=np.array([0.0, 0.0, -9.81]), ground=ground)
     entries, moved = [], []
     for name in ("fused", "pyelastica"):
-        engine = make_engine(name, model, 1e-4, energy_check=True)
+        engine = simulate(name, model, 1e-4, energy_check=True)
         engine.restore(thrown(model, (1.0, 0.2, -0.1)))
         assert engine.advance([], 200).ok
         entry = engine.ledger
@@ -462,7 +463,7 @@ def cage(stiffness: float, mass: float, damping: float, friction: float, middle:
 
 def holds_still(model: RodModel, dt: float, splitting: Splitting) -> bool:
     """Whether 4,000 steps from a slightly shaken balance stay finite and small."""
-    engine = make_engine("fused", model, dt, splitting)
+    engine = simulate("fused", model, dt, splitting)
     shake = 1e-10 * np.random.default_rng(0).standard_normal((model.n_node, 3))
     for clamp in model.clamps:
         if clamp.node is not None:
@@ -553,7 +554,7 @@ def swallowed(level: float, sign: float, time: float, back: float = 0.0) -> Floa
     sites = np.array([(muscle.start, muscle.end) for muscle in layout.active])
     height = lattice.site_position[sites, 2].mean(axis=1)
     dt = default_dt(model, 0.05, 1.2)
-    engine = make_engine("fused", model, dt, "symmetric")
+    engine = simulate("fused", model, dt, "symmetric")
     found, before = [], np.zeros(model.n_muscle)
     for now in np.append(np.arange(0.0, time, 0.05), np.arange(time, time - back, -0.05)):
         wave = 0.5 * np.cos(2.0 * np.pi * (height / 0.05 - sign * 0.2 * now))

@@ -17,8 +17,9 @@ from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.fused import kernels
-from lattice_gym.engines.fused.engine import FusedEngine
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.fused.engine import FusedAssembly, FusedEngine
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import Clamp, Joint, PointForce, RodModel
 from lattice_gym.physics.energy import EnergyMeter
 from lattice_gym.physics.laws import contact
@@ -71,7 +72,7 @@ def test_depth(engine_name: EngineName) -> None:
         PointForce(rod, node, (0.0, 0.0, sign * 0.5 * force)) for rod, sign in ((0, 1.0), (1, -1.0)) for node in (1, 2)
     ]
     model = crossing(1e-3, forces=tuple(forces), contact=Contact(stiffness=10.0, damping=0.5), rod={"damping": 0.3})
-    engine = make_engine(engine_name, model, 0.9 * stable_dt(model))
+    engine = simulate(engine_name, model, 0.9 * stable_dt(model))
     assert engine.advance([], round(3.0 / engine.dt)).ok
     position = engine.state.position
     pairs = touching(model, position)
@@ -87,7 +88,7 @@ def test_a_bounce_from_afar(engine_name: EngineName) -> None:
         straight_rod((0, -0.02, 0.1), (0, 0.02, 0.1), 2, **ROD | stiff),
     ]
     model = RodModel(rods=tuple(rods), contact=Contact(stiffness=250.0, damping=0.0))
-    engine = make_engine(engine_name, model, 0.5 * stable_dt(model))
+    engine = simulate(engine_name, model, 0.5 * stable_dt(model))
     engine.restore(moved(model, 1, 0.0, (0.0, 0.0, -1.0)))
     assert engine.advance([], round(0.11 / engine.dt)).ok
     share = model.node_mass[:3] / model.node_mass[:3].sum()
@@ -113,7 +114,7 @@ def momenta(model: RodModel, state: RodState) -> FloatArray:
 def test_momentum(engine_name: EngineName, x: float, y: float, angle: float) -> None:
     """Free rods that hit each other within elements, at nodes, past ends and side by side."""
     model = crossing(1e-3, x, y, angle, contact=Contact(stiffness=1e4, damping=3.0))
-    engine = make_engine(engine_name, model, 1e-5)
+    engine = simulate(engine_name, model, 1e-5)
     start = moved(model, 1, (-0.002 if x > 0.3 else 0.0, 0.0, -0.011), (0.3, -0.2, -1.0))
     assert len(touching(model, start.position))
     engine.restore(start)
@@ -138,7 +139,7 @@ def worm(law: Contact | None, tension: float, **design: Any) -> tuple[RodModel, 
 def test_engines_agree_in_contact() -> None:
     """To rounding in a step from a squeezed state with contacts, to 1e-9 m over a squeeze."""
     model, dt = worm(Contact(stiffness=200.0), 2.0, n_pairs=3, period_ratio=1.5, elements_per_segment=3)
-    engines = [make_engine(name, model, dt) for name in ("fused", "pyelastica")]
+    engines = [simulate(name, model, dt) for name in ("fused", "pyelastica")]
     pull, n_steps = np.full(model.n_muscle, 2.0), round(0.2 / dt)
     for engine in engines:
         assert engine.advance(np.stack([0.0 * pull, pull]), n_steps).ok
@@ -159,7 +160,7 @@ def test_engines_agree_in_contact() -> None:
 def deepest(law: Contact | None) -> float:
     """Largest depth over the reach in a second in which the default worm is compressed by 3 N."""
     model, dt = worm(law, 3.0, max_tension=3.0)
-    engine, worst = make_engine("fused", model, dt, "symmetric"), 0.0
+    engine, worst = simulate("fused", model, dt, "symmetric"), 0.0
     pull = np.full(model.n_muscle, 3.0)
     for k in range(20):
         ramp = np.minimum([[k / 4.0], [(k + 1.0) / 4.0]], 1.0) * pull
@@ -179,7 +180,7 @@ def test_a_squeezed_worm_keeps_apart() -> None:
 def test_restart_is_exact(engine_name: EngineName) -> None:
     """A state with contacts is all that is needed to go on to the last bit."""
     model = crossing(1e-3, 0.02, 0.01, 60.0)
-    first, second = (make_engine(engine_name, model, 1e-5) for _ in range(2))
+    first, second = (simulate(engine_name, model, 1e-5) for _ in range(2))
     first.restore(moved(model, 1, (0.0, 0.0, -0.004), (0.3, -0.2, -1.0)))
     assert first.advance([], 200).ok
     second.restore(first.state)
@@ -197,13 +198,13 @@ def test_who_touches() -> None:
     assert contact.excluded(joined).tolist() == [[1, 4]]
     for model in (near, joined, crossing(1e-3, muscles=(1,))):
         for name in ("fused", "pyelastica"):
-            engine = make_engine(name, model, 1e-5)
+            engine = simulate(name, model, 1e-5)
             start = moved(model, 1, (0.0, 0.0, -0.003))
             engine.restore(start)
             assert engine.advance(np.zeros(model.n_muscle), 1).ok
             assert np.abs(engine.state.velocity).max() < 1e-12
     bare = crossing(1e-3, muscles=(0, 1))
-    assert make_engine("fused", bare, 1e-5).advance([0.0, 0.0], 2).ok
+    assert simulate("fused", bare, 1e-5).advance([0.0, 0.0], 2).ok
     assert len(contact.overlapping(bare, bare.rest_state().position)) == 0
 
 
@@ -221,7 +222,7 @@ def test_rounding_decides_nothing(n: int) -> None:
 def shortening(tension: float, n: int) -> float:
     """By how much the default worm on a mesh of n elements a segment is shorter after half a second [m]."""
     model, dt = worm(Contact(), tension, elements_per_segment=n)
-    engine, start = make_engine("fused", model, dt, "symmetric"), model.rest_state().position
+    engine, start = simulate("fused", model, dt, "symmetric"), model.rest_state().position
     pull = np.full(model.n_muscle, tension)
     for k in range(10):
         assert engine.advance(np.minimum([[k / 5.0], [(k + 1.0) / 5.0]], 1.0) * pull, round(0.05 / dt)).ok
@@ -239,18 +240,22 @@ def test_how_short_it_gets_hangs_little_on_the_mesh(tension: float, share: float
     assert coarse == pytest.approx(fine, rel=share)
 
 
-def engine_of(model: RodModel) -> FusedEngine:
+def assembly(engine: Simulation) -> FusedAssembly:
+    """Compiled assembly of a simulation."""
+    assert isinstance(engine.engine, FusedEngine)
+    return engine.engine._worms[0]
+
+
+def engine_of(model: RodModel) -> Simulation:
     """Compiled engine of a model."""
-    engine = make_engine("fused", model, 1e-5)
-    assert isinstance(engine, FusedEngine)
-    return engine
+    return simulate("fused", model, 1e-5)
 
 
-def listed(engine: FusedEngine) -> tuple[IntArray, kernels.Contact]:
+def listed(engine: Simulation) -> tuple[IntArray, kernels.Contact]:
     """Pairs of elements that the compiled code lists as they stand, sorted, and its tables."""
-    tables = engine._contact
+    tables = assembly(engine)._contact
     assert tables is not None
-    pairs, count = kernels.list_pairs(engine._cells, tables)
+    pairs, count = kernels.list_pairs(assembly(engine)._cells, tables)
     pairs = contact.touchable(engine.model)[pairs[:count]]
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))], tables
 
@@ -353,7 +358,7 @@ def test_a_diverging_run_costs_no_more(where: float, n_gone: int) -> None:
     before = crowd(tables)
     gone = start.copy()
     gone.position[:n_gone] += where
-    engine._restore(gone)
+    assembly(engine).restore(gone)
     assert len(listed(engine)[0]) <= len(sound)
     assert crowd(tables) <= 2 * before
     engine.restore(start)
@@ -367,8 +372,9 @@ def test_when_the_list_was_made_does_not_show(room: int) -> None:
     model = scattered(np.random.default_rng(0), 60, 0.15)
     first, second = engine_of(model), engine_of(model)
     for engine in (first, second):
-        assert engine._contact is not None
-        engine._contact = engine._contact._replace(pairs=np.zeros((room, 2), np.int64))
+        tables = assembly(engine)._contact
+        assert tables is not None
+        assembly(engine)._contact = tables._replace(pairs=np.zeros((room, 2), np.int64))
     start = model.rest_state().copy()
     start.velocity[:] = np.random.default_rng(1).normal(0.0, 0.3, start.velocity.shape)
     first.restore(start)
@@ -407,7 +413,7 @@ def test_the_ledger_balances(engine_name: EngineName) -> None:
     model = crossing(1e-3, contact=Contact(stiffness=1e3, damping=2.0))
     left = []
     for dt in (4e-5, 2e-5, 1e-5):
-        engine = make_engine(engine_name, model, dt, energy_check=True)
+        engine = simulate(engine_name, model, dt, energy_check=True)
         engine.restore(moved(model, 1, 0.0, (0.0, 0.0, -0.2)))
         assert engine.advance([], round(0.01 / dt)).ok
         entry = engine.ledger
@@ -424,7 +430,7 @@ def test_side_by_side_no_energy_comes_from_nowhere(engine_name: EngineName) -> N
     A depth that jumps by the sine times half an element, over a depth of 1 mm, would show at a sine of 1e-4.
     """
     model, dt = crossing(1e-3, 0.01, 0.002, 0.0), 1e-5
-    engine = make_engine(engine_name, model, dt, energy_check=True)
+    engine = simulate(engine_name, model, dt, energy_check=True)
     engine.restore(moved(model, 1, 0.0, (0.0, 0.0, -0.2)))
     for _ in range(8):
         assert engine.advance([], round(0.002 / dt)).ok
@@ -458,7 +464,7 @@ def test_never_above_the_measured_limit(damping: float, splitting: Splitting) ->
     model, state = stack(12, damping)
     limit = stable_dt(model, splitting=splitting) / SAFETY
     for share, holds in ((0.99, True), (1.05, False)):
-        engine = make_engine("fused", model, share * limit, splitting)
+        engine = simulate("fused", model, share * limit, splitting)
         engine.restore(state)
         health = engine.advance([], 4000)
         assert (health.ok and np.abs(engine.state.velocity).max() < 1e-7) == holds, share
@@ -474,7 +480,7 @@ def beside(n_elem: int) -> tuple[RodModel, RodState]:
     for rod in (0, 2):
         state.position[model.nodes(rod), 2] += (1 - rod) * depth
     tick = 1e-9
-    engine = make_engine("fused", model, tick)
+    engine = simulate("fused", model, tick)
     engine.restore(state)
     assert engine.advance([], 1).ok
     push = -engine.state.velocity / tick * model.node_mass[:, None]
@@ -488,7 +494,7 @@ def test_never_above_what_short_elements_bear(n_elem: int) -> None:
     """Down to elements of a tenth of the reach, each of which touches many of the next rod."""
     model, state = beside(n_elem)
     dt = stable_dt(model) / SAFETY
-    engine = make_engine("fused", model, dt)
+    engine = simulate("fused", model, dt)
     engine.restore(state)
     # An unstable step makes a disturbance grow by orders of magnitude in this time.
     assert engine.advance([], 24).ok

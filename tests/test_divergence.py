@@ -14,7 +14,8 @@ import pytest
 from lattice_gym.benchmarks import divergence
 from lattice_gym.benchmarks.__main__ import main
 from lattice_gym.benchmarks.divergence import FIRST_SEED, N_CONTROL, TWIN, WRONG, Run, Truth, compare, count, held
-from lattice_gym.engines.base import Engine, Health, Status
+from lattice_gym.engines.energy_audit import EnergyAudit
+from lattice_gym.engines.health import Health, Status
 
 
 @cache
@@ -65,16 +66,16 @@ def test_a_run_with_nothing_to_compare_is_undecided(monkeypatch: pytest.MonkeyPa
 def test_the_twins_ignore_their_energy_check(monkeypatch: pytest.MonkeyPatch) -> None:
     """What it flags is no failure of theirs; its ledger is read."""
     monkeypatch.setattr(divergence, "N_CONTROL", 2)
-    monkeypatch.setattr(Engine, "_audit", flagged(Engine._audit))
+    monkeypatch.setattr(EnergyAudit, "close", flagged(EnergyAudit.close))
     truth = divergence._truth(divergence.plan(FIRST_SEED), TWIN)
     assert (truth.status, len(truth.positions), truth.residual > 0.0) == ("ok", 3, True)
 
 
 def flagged(audit: Callable[..., Health]) -> Callable[..., Health]:
-    """Make an audit that always finds energy from nowhere."""
+    """Make an audit that always finds spurious energy."""
 
-    def wrong(engine: Engine, *arguments: Any) -> Health:
-        audit(engine, *arguments)
+    def wrong(*arguments: Any) -> Health:
+        audit(*arguments)
         return Health(Status.ENERGY, 0, 0)
 
     return wrong

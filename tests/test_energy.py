@@ -13,8 +13,9 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine, Health, Status
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.health import Health, Status
+from lattice_gym.engines.registry import ENGINES, EngineName
+from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.physics.assembly import Clamp, Joint, Line, PointForce, PointTorque, RodModel
 from lattice_gym.physics.energy import ENERGY_TOLERANCE, EnergyMeter, Flow, StoredEnergy, ledger
@@ -88,7 +89,7 @@ def test_weight_and_ground_have_their_formulas() -> None:
 def test_the_ground_takes_what_motion_loses(build: Callable[[int], Scene], engine_name: EngineName) -> None:
     """Friction and dashpots of the ground are counted to rounding: blocks that slip, stop, and sink in."""
     scene = build(2)
-    engine = make_engine(engine_name, scene.model, scene.dt, energy_check=True)
+    engine = simulate(engine_name, scene.model, scene.dt, energy_check=True)
     engine.restore(scene.start)
     assert engine.advance([], 1000).ok
     entry = engine.ledger
@@ -103,7 +104,7 @@ def test_a_worm_on_the_ground_keeps_its_books(kind: str, most: float) -> None:
     lattice = build_lattice(LatticeDesign(**SMALL, base="free", damping=1e-3, muscle_model=cast(Any, kind)))
     world = World(medium=Medium(drag=0.1), ground=Ground(static_friction=0.8, forward=0.5), lying=True)
     model = build_model(lattice, named_layout("all", lattice), world)
-    engine = make_engine("fused", model, 1e-4, "symmetric", True)
+    engine = simulate("fused", model, 1e-4, "symmetric", True)
     rng, residual, lost = np.random.default_rng(0), 0.0, 0.0
     for _ in range(10):
         assert engine.advance(rng.uniform(0.0, 0.1, (2, model.n_muscle)), 500).ok
@@ -138,7 +139,7 @@ def _assembly(muscles: str, *, smooth: bool = False) -> RodModel:
     )  # fmt: skip
 
 
-def _worked(engine: Engine, time: float, n_call: int) -> tuple[FloatArray, float]:
+def _worked(engine: Simulation, time: float, n_call: int) -> tuple[FloatArray, float]:
     """Muscle work, load work, dissipation and stored energy of ramps up and down; and the residual."""
     ramps = [20.0 * np.array([[k % 2], [(k + 1) % 2]]) for k in range(n_call)]
     total, residual = np.zeros(4), 0.0
@@ -160,7 +161,7 @@ STEPS = (4e-4, 2e-4, 1e-4, 5e-5)
 
 def _books(model: RodModel, splitting: Splitting) -> tuple[FloatArray, FloatArray]:
     """Parts of the ledger at each step, shape (n_step, 4), and residuals, over the sum of the parts at the finest."""
-    results = [_worked(make_engine("fused", model, dt, splitting, True), 0.4, 4) for dt in STEPS]
+    results = [_worked(simulate("fused", model, dt, splitting, True), 0.4, 4) for dt in STEPS]
     parts, left = np.array([found for found, _ in results]), np.array([residual for _, residual in results])
     scale = np.abs(parts[-1]).sum()
     return parts / scale, left / scale
@@ -209,7 +210,7 @@ def test_a_pull_against_heavy_damping_balances(splitting: Splitting, decay: floa
     soft = ROD | {"youngs_modulus": 1e-12, "shear_modulus": 1e-12}
     rod = straight_rod((0, 0, 0), (0, 0, 1), 2, **soft, damping=1.0)
     pulls = tuple(PointForce(0, n, (1e-3, 0.0, 0.0)) for n in range(3))
-    engine = make_engine("fused", RodModel(rods=(rod,), forces=pulls), decay * rod.mass[0], splitting, True)
+    engine = simulate("fused", RodModel(rods=(rod,), forces=pulls), decay * rod.mass[0], splitting, True)
     for _ in range(3):
         assert engine.advance([], 20).ok
         entry = engine.ledger
@@ -218,11 +219,11 @@ def test_a_pull_against_heavy_damping_balances(splitting: Splitting, decay: floa
         assert abs(entry.residual) < 1e-6 * entry.scale
 
 
-@pytest.mark.parametrize("engine_name", get_args(EngineName))
+@pytest.mark.parametrize("engine_name", tuple(ENGINES))
 def test_nothing_is_left_of_a_run_that_failed(engine_name: EngineName, lattice: Lattice) -> None:
     """After a restore the books begin empty, whatever happened before: a failed run's work is not the next one's."""
     model = build_model(lattice, named_layout("all", lattice))
-    engine, fresh = (make_engine(engine_name, model, dt, energy_check=True) for dt in (2e-3, 2e-3))
+    engine, fresh = (simulate(engine_name, model, dt, energy_check=True) for dt in (2e-3, 2e-3))
     pull = np.full(model.n_muscle, 2.0)
     assert not engine.advance(pull, 200).ok
     assert engine.ledger is None
@@ -234,7 +235,7 @@ def test_nothing_is_left_of_a_run_that_failed(engine_name: EngineName, lattice: 
 @pytest.mark.parametrize("muscles", ["rod", "line"])
 def test_engines_keep_the_same_books(muscles: str) -> None:
     """PyElastica's own steps, counted in numpy, give the same work, dissipation and energy."""
-    books = [_worked(make_engine(name, _assembly(muscles), 2e-4, energy_check=True), 0.1, 2)[0]
+    books = [_worked(simulate(name, _assembly(muscles), 2e-4, energy_check=True), 0.1, 2)[0]
              for name in ("fused", "pyelastica")]  # fmt: skip
     np.testing.assert_allclose(books[0], books[1], rtol=1e-3, atol=1e-6)
 
@@ -244,7 +245,7 @@ def test_dissipation_is_what_motion_loses(splitting: Splitting) -> None:
     """In a step from rest without forces damping alone takes the kinetic energy, to rounding; in spin as in speed."""
     rod = straight_rod((0, 0, 0), (0, 0, 1), 2, **ROD, damping=0.5, rotational_damping=0.02)
     model = RodModel(rods=(rod,))
-    engine = make_engine("fused", model, 1e-3, splitting, True)
+    engine = simulate("fused", model, 1e-3, splitting, True)
     rest, meter = model.rest_state(), EnergyMeter(model)
     for velocity, omega in ((0.7, 0.0), (0.0, 0.5)):
         first = replace(rest, velocity=rest.velocity + velocity, omega=rest.omega + np.array([0.0, 0.0, omega]))
@@ -261,7 +262,7 @@ def test_dissipation_is_what_motion_loses(splitting: Splitting) -> None:
 def test_the_check_changes_nothing_else(engine_name: EngineName, lattice: Lattice) -> None:
     """With the books kept, the state is the same to the last bit; without them, there is no ledger."""
     model = build_model(lattice, named_layout("all", lattice))
-    plain, checked = (make_engine(engine_name, model, 2e-4, energy_check=on) for on in (False, True))
+    plain, checked = (simulate(engine_name, model, 2e-4, energy_check=on) for on in (False, True))
     pull = np.random.default_rng(0).uniform(0.0, 0.5, (2, model.n_muscle))
     for engine in (plain, checked):
         engine.advance(pull, 10)
@@ -278,9 +279,9 @@ def test_energy_from_nowhere_is_flagged(monkeypatch: pytest.MonkeyPatch, lattice
     pull = np.full(model.n_muscle, 0.3)
 
     def health(share: float) -> Health:
-        engine = make_engine("fused", model, 2e-4, energy_check=True)
-        flow = engine._flow
-        monkeypatch.setattr(engine, "_flow", lambda: replace(f := flow(), muscle_work=share * f.muscle_work))
+        engine = simulate("fused", model, 2e-4, energy_check=True)
+        flow = engine.engine._flow
+        monkeypatch.setattr(engine.engine, "_flow", lambda k: replace(f := flow(k), muscle_work=share * f.muscle_work))
         return engine.advance(pull, 50)
 
     assert health(1.0).ok
@@ -317,7 +318,7 @@ def test_torn_joints_are_named(engine_name: EngineName, rest_gap: float) -> None
     rods = tuple(straight_rod((x, 0, 0), (x, 0, 1), 2, **ROD) for x in (0.0, 0.5, 0.5 + rest_gap))
     model = RodModel(rods=rods, joints=(Joint(0, 0, 1, 0, 1e-3), Joint(1, 2, 2, 2, 1e-3)))
     for apart, status in ((0.09, Status.OK), (0.11, Status.TORN)):
-        engine, state = make_engine(engine_name, model, 1e-6), model.rest_state()
+        engine, state = simulate(engine_name, model, 1e-6), model.rest_state()
         position = state.position.copy()
         position[model.nodes(2)] += [apart, 0.0, 0.0]
         engine.restore(replace(state, position=position))
@@ -344,7 +345,7 @@ def test_line_muscles_keep_the_books_too() -> None:
     """A lattice with muscles as lines: what the muscles put in is found again."""
     lattice = build_lattice(LatticeDesign(**{**SMALL, "muscle_model": "line"}))
     model = build_model(lattice, named_layout("all", lattice))
-    engine = make_engine("fused", model, 5e-5, "symmetric", True)
+    engine = simulate("fused", model, 5e-5, "symmetric", True)
     assert engine.advance(np.stack([np.zeros(model.n_muscle), np.full(model.n_muscle, 0.3)]), 1000).ok
     entry = engine.ledger
     assert entry is not None

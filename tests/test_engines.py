@@ -21,8 +21,11 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import STEP_TOLERANCE, Engine, Health, Status
+from lattice_gym.engines.energy_audit import EnergyAudit
+from lattice_gym.engines.health import Health, Status
 from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.simulation import Simulation, simulate
+from lattice_gym.engines.step_doubling import STEP_TOLERANCE
 from lattice_gym.physics.assembly import Ball, Clamp, Joint, Line, PointForce, PointTorque, RodModel
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.rod import rotation_between, straight_rod
@@ -56,7 +59,7 @@ def test_engines_agree(options: dict[str, Any]) -> None:
     lattice = build_lattice(LatticeDesign(**options))
     model = build_model(lattice, named_layout("all", lattice))
     dt = default_dt(model, 0.05)
-    fused, reference = make_engine("fused", model, dt), make_engine("pyelastica", model, dt)
+    fused, reference = simulate("fused", model, dt), simulate("pyelastica", model, dt)
     rng = np.random.default_rng(0)
     pull = rng.uniform(0.0, 0.5, model.n_muscle)
     assert fused.advance(pull, 1).ok
@@ -84,7 +87,7 @@ def test_engines_agree_on_the_ground(kind: str, ground: Ground) -> None:
     lattice = build_lattice(LatticeDesign(n_pairs=3, base="free", damping=1e-3, muscle_model=cast(Any, kind)))
     world = World(medium=Medium(drag=0.1), ground=ground, lying=True)
     model = build_model(lattice, named_layout("all", lattice), world)
-    engines = [make_engine(name, model, 2e-4) for name in ("fused", "pyelastica")]
+    engines = [simulate(name, model, 2e-4) for name in ("fused", "pyelastica")]
     rng = np.random.default_rng(0)
     largest, sticks, slips = [0.0, 0.0], False, False
     for n_step in (1, *[250] * 20):
@@ -168,7 +171,7 @@ def test_engines_agree_on_any_assembly() -> None:
     """General rods: the same motion to rounding, clamps held exactly."""
     model = mixed_assembly()
     dt = 0.5 * stable_dt(model)
-    engines = [make_engine(name, model, dt) for name in ("fused", "pyelastica")]
+    engines = [simulate(name, model, dt) for name in ("fused", "pyelastica")]
     for engine in engines:
         assert engine.advance([[0.0, 0.0], [100.0, 10.0]], 400).ok
     a, b = engines[0].state, engines[1].state
@@ -193,7 +196,7 @@ def test_large_rotations_are_exact(engine_name: EngineName, angle: float) -> Non
     """One step turns the directors by exactly |omega| dt, however large: on either side of the series' reach."""
     dt = 1e-3
     model, start = spinning(np.array([0.0, 0.0, angle / dt]))
-    engine = make_engine(engine_name, model, dt)
+    engine = simulate(engine_name, model, dt)
     engine.restore(start)
     engine.advance([], 1)
     c, s = np.cos(angle), np.sin(angle)
@@ -212,7 +215,7 @@ def test_large_bends_agree(angle: float) -> None:
     directors[1] = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]) @ directors[1]
     omega = []
     for name in ("fused", "pyelastica"):
-        engine = make_engine(name, model, 1e-4)
+        engine = simulate(name, model, 1e-4)
         engine.restore(replace(rest, directors=directors))
         engine.advance([], 1)
         omega.append(engine.state.omega)
@@ -224,12 +227,12 @@ def test_restart_is_exact(engine_name: EngineName, lattice: Lattice) -> None:
     """A fresh engine that takes over a state goes on to the last bit; the state shares no memory with the engine."""
     model = build_model(lattice, named_layout("all", lattice))
     pull = np.random.default_rng(2).uniform(0.0, 0.5, model.n_muscle)
-    first = make_engine(engine_name, model, 2e-4)
+    first = simulate(engine_name, model, 2e-4)
     first.advance(pull, 20)
     saved = first.state
     kept = saved.copy()
     first.advance(pull, 20)
-    second = make_engine(engine_name, model, 2e-4)
+    second = simulate(engine_name, model, 2e-4)
     second.advance(0.5 * pull, 7)
     second.restore(saved)
     second.advance(pull, 20)
@@ -243,7 +246,7 @@ def test_a_fresh_start_after_divergence(engine_name: EngineName, lattice: Lattic
     """Nothing of a state that blew up is left once another is restored."""
     model = build_model(lattice, named_layout("extension", lattice))
     pull = np.full(model.n_muscle, 0.5)
-    used, fresh = (make_engine(engine_name, model, 2e-4) for _ in range(2))
+    used, fresh = (simulate(engine_name, model, 2e-4) for _ in range(2))
     assert not used.advance(60.0 * pull, 300).ok
     used.restore(model.rest_state())
     for engine in (used, fresh):
@@ -256,7 +259,7 @@ def test_random_activation_pumps_no_twist(lattice: Lattice) -> None:
     """Ten seconds of tension that jumps 20 times a second: no muscle spins up, as all do with little damping."""
     model = build_model(lattice, named_layout("all", lattice))
     dt = default_dt(model, 0.05)
-    engine = make_engine("fused", model, dt)
+    engine = simulate("fused", model, dt)
     rng = np.random.default_rng(0)
     for _ in range(200):
         assert engine.advance(rng.uniform(0.0, 0.5, (2, model.n_muscle)), round(0.05 / dt)).ok
@@ -269,7 +272,7 @@ def test_a_ramp_is_the_mean_of_its_ends(engine_name: EngineName, lattice: Lattic
     ones = np.ones(model.n_muscle)
     positions = []
     for tension, steps in (([0.1 * ones, 0.3 * ones], 1), (0.2 * ones, 1), ([0.1 * ones, 0.3 * ones], 2)):
-        engine = make_engine(engine_name, model, 2e-4)
+        engine = simulate(engine_name, model, 2e-4)
         engine.advance(tension, steps)
         positions.append(engine.state.velocity)
     assert np.abs(positions[0] - positions[1]).max() < 1e-15
@@ -279,7 +282,7 @@ def test_a_ramp_is_the_mean_of_its_ends(engine_name: EngineName, lattice: Lattic
 def test_divergence_has_a_status_and_a_place(engine_name: EngineName, lattice: Lattice) -> None:
     """A step far beyond the stable one ends in a named failure, not in an exception or silence."""
     model = build_model(lattice, named_layout("all", lattice))
-    engine = make_engine(engine_name, model, 2.0 * stable_dt(model))
+    engine = simulate(engine_name, model, 2.0 * stable_dt(model))
     health = engine.advance(np.full(model.n_muscle, 0.5), 60)
     assert not health.ok
     assert 0 <= health.rod < model.n_rod
@@ -309,7 +312,7 @@ def test_each_failure_is_named(
         array = getattr(state, field).copy()
         array[3 + node] += value
         state = replace(state, **{field: array})
-    engine = make_engine(engine_name, model, 1e-6)
+    engine = simulate(engine_name, model, 1e-6)
     engine.restore(state)
     health = engine.advance([], 1)
     assert (health.status, health.rod, health.element) == (status, 1, 0)
@@ -325,9 +328,9 @@ N_ASTRAY = 5
 """Control steps up to the one in which its nodes part by more than `STEP_TOLERANCE` from the run at half the step."""
 
 
-def made(run: Plan, *, share: float = 1.0, energy_check: bool = False, step_check: bool = False) -> Engine:
-    """Engine of a run, at a share of its step."""
-    return make_engine("fused", run.model, share * run.dt, run.splitting, energy_check, step_check)
+def made(run: Plan, *, share: float = 1.0, energy_check: bool = False, step_check: bool = False) -> Simulation:
+    """Simulate a run at a share of its step."""
+    return simulate("fused", run.model, share * run.dt, run.splitting, energy_check, step_check)
 
 
 def test_a_smooth_run_astray_is_caught(astray: Plan) -> None:
@@ -382,7 +385,7 @@ def test_step_error(engine_name: EngineName) -> None:
     """A number after a call that ends in a state; None before the first, once restored, and where the run failed."""
     model = mixed_assembly()
     dt = 0.5 * stable_dt(model)
-    engine, plain = (make_engine(engine_name, model, dt, step_check=check) for check in (True, False))
+    engine, plain = (simulate(engine_name, model, dt, step_check=check) for check in (True, False))
     assert engine.step_error is None
     for ramp in ([0.0, 100.0], [100.0, 100.0], [100.0, 20.0]):
         tension = np.outer(ramp, np.ones(model.n_muscle))
@@ -405,9 +408,9 @@ def test_step_error(engine_name: EngineName) -> None:
 def test_step_error_where_energy_comes_from_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
     """That flag leaves a state, which is compared: the flag is the one, the number that of a run without it."""
     model = mixed_assembly()
-    both = make_engine("fused", model, 0.5 * stable_dt(model), energy_check=True, step_check=True)
-    alone = make_engine("fused", model, both.dt, step_check=True)
-    monkeypatch.setattr(both, "_audit", lambda *arguments: Health(Status.ENERGY, 2, 1))
+    both = simulate("fused", model, 0.5 * stable_dt(model), energy_check=True, step_check=True)
+    alone = simulate("fused", model, both.dt, step_check=True)
+    monkeypatch.setattr(EnergyAudit, "close", lambda *arguments: Health(Status.ENERGY, 2, 1))
     for _ in range(2):
         assert both.advance(np.full(model.n_muscle, 100.0), 30) == Health(Status.ENERGY, 2, 1)
         assert alone.advance(np.full(model.n_muscle, 100.0), 30).ok
@@ -418,15 +421,15 @@ def test_half_a_step_that_fails_flags_the_run(engine_name: EngineName) -> None:
     """The run is inaccurate where the run beside it fails, and has no distance from it."""
     model = mixed_assembly()
     dt = 0.5 * stable_dt(model)
-    engine = make_engine(engine_name, model, dt, step_check=True)
+    engine = simulate(engine_name, model, dt, step_check=True)
     assert engine.advance(np.full(model.n_muscle, 100.0), 30).ok
-    engine.shadowed(make_engine(engine_name, model, 10.0 * dt))
+    engine.engine._finer = make_engine(engine_name, [model], 10.0 * dt)
     health = engine.advance(np.full(model.n_muscle, 100.0), 30)
-    failed = make_engine(engine_name, model, 10.0 * dt).advance(np.full(model.n_muscle, 100.0), 60)
+    failed = simulate(engine_name, model, 10.0 * dt).advance(np.full(model.n_muscle, 100.0), 60)
     assert not failed.ok
     assert health == replace(failed, status=Status.INACCURATE)
     assert engine.step_error is None
-    assert make_engine(engine_name, model, dt).advance(np.full(model.n_muscle, 100.0), 60).ok
+    assert simulate(engine_name, model, dt).advance(np.full(model.n_muscle, 100.0), 60).ok
 
 
 def test_refused_input(engine_name: EngineName, lattice: Lattice) -> None:
@@ -434,8 +437,8 @@ def test_refused_input(engine_name: EngineName, lattice: Lattice) -> None:
     model = build_model(lattice, named_layout("extension", lattice))
     for dt in (0.0, -1e-4, np.nan, np.inf):
         with pytest.raises(ValueError, match="dt = "):
-            make_engine(engine_name, model, dt)
-    engine = make_engine(engine_name, model, 1e-4)
+            simulate(engine_name, model, dt)
+    engine = simulate(engine_name, model, 1e-4)
     good = np.zeros(model.n_muscle)
     for tension in (good[1:], np.zeros((3, model.n_muscle)), good - 1.0, good * np.nan, good + np.inf, 0.5):
         with pytest.raises(ValueError, match="tension"):
@@ -467,26 +470,26 @@ def test_splittings_are_checked(lattice: Lattice) -> None:
     """The reference damps as PyElastica does and in no other way; an unknown splitting is refused."""
     model = build_model(lattice, named_layout("extension", lattice))
     with pytest.raises(ValueError, match="splitting"):
-        make_engine("pyelastica", model, 1e-4, "symmetric")
+        simulate("pyelastica", model, 1e-4, "symmetric")
     with pytest.raises(ValueError, match="pyelastica, symmetric"):
-        make_engine("fused", model, 1e-4, cast(Splitting, "both"))
+        simulate("fused", model, 1e-4, cast(Splitting, "both"))
 
 
 def test_unknown_engine(lattice: Lattice) -> None:
     """The error names the choices."""
-    model, name = build_model(lattice, named_layout("extension", lattice)), cast(EngineName, "warp")
+    model, name = build_model(lattice, named_layout("extension", lattice)), "warp"
     with pytest.raises(ValueError, match="fused, pyelastica"):
-        make_engine(name, model, 1e-4)
+        simulate(name, model, 1e-4)
 
 
 def test_the_step_check_sees_the_ball(monkeypatch: pytest.MonkeyPatch) -> None:
     """A ball that bounces off a held rod, which cannot differ, is compared too; too far off, it is named."""
-    monkeypatch.setattr("lattice_gym.engines.base.STEP_TOLERANCE", 1e-6)
+    monkeypatch.setattr("lattice_gym.engines.step_doubling.STEP_TOLERANCE", 1e-6)
     shape = {"radius": 0.01, "density": 1e3, "youngs_modulus": 1e5, "shear_modulus": 3e4}
     rod = straight_rod((0.0, 0.0, 0.0), (0.3, 0.0, 0.0), 2, **shape)
     clamps = tuple(Clamp(0, node, node if node < 2 else None) for node in range(3))
     ball = Ball(position=np.array([0.15, 0.0, 0.05]), radius=0.03, mass=0.1, stiffness=100.0, force=(0.0, 0.0, -1.0))
-    engine = make_engine("fused", RodModel(rods=(rod,), clamps=clamps, bolus=ball), 2e-3, step_check=True)
+    engine = simulate("fused", RodModel(rods=(rod,), clamps=clamps, bolus=ball), 2e-3, step_check=True)
     assert str(engine.advance([], 100)) == "inaccurate (ball)"
     assert engine.step_error is not None
     assert engine.step_error > 1e-6

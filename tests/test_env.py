@@ -30,8 +30,7 @@ from lattice_gym.benchmarks.divergence import plan
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.engines.base import Engine, Health, Status
-from lattice_gym.engines.fused.pack import Pack
+from lattice_gym.engines.health import Health, Status
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.fidelity import FidelityName
@@ -87,13 +86,6 @@ def _refusal(call: Callable[[], object]) -> str | None:
     except ValueError as error:
         return str(error)
     return None
-
-
-def _alone(env: LatticeWormEnv) -> Engine:
-    """Engine of a worm that shares none."""
-    (part,) = env.worms.engine._parts
-    assert not isinstance(part, Pack)
-    return part._engine
 
 
 def _same(first: list[Any], second: list[Any]) -> bool:
@@ -496,7 +488,7 @@ def test_work_of_muscles(control: str) -> None:
         now = muscle_lengths(env.model, env.state.position)
         work += 0.5 * env.design.max_tension * float((activation + env.activation) @ (length - now))
         length, activation = now, env.activation
-        ledger = _alone(env).ledger
+        ledger = env.worms.engine.ledger()
         assert ledger is not None
         booked += ledger.muscle_work
     assert work == pytest.approx(booked, rel=0.05)
@@ -765,7 +757,7 @@ def test_any_engine_failure_is_survived(monkeypatch: pytest.MonkeyPatch) -> None
         return np.array([Status.INVERTED])
 
     monkeypatch.setattr(engine, "advance", fail)
-    monkeypatch.setattr(engine, "health", lambda worm: Health(Status.INVERTED, 4, 2))
+    monkeypatch.setattr(engine, "health", lambda worm=0: Health(Status.INVERTED, 4, 2))
     _, _, terminated, _, info = env.step(np.zeros(N_SMALL))
     assert terminated
     assert info["status"] == "inverted (rod 4, element 2)"
@@ -806,14 +798,14 @@ def test_a_copy_keeps_the_step_check(copied: Any) -> None:
     for _ in range(3):
         env.step(np.ones(N_SMALL))
     twin: LatticeWormEnv = copied(env)
-    assert _alone(twin).step_error is None
+    assert twin.worms.engine.step_error() is None
     for action in (np.ones(N_SMALL), np.zeros(N_SMALL)):
         assert _same([env.step(action)], [twin.step(action)])
-        assert _alone(twin).step_error not in (None, 0.0, _alone(env).step_error)
+        assert twin.worms.engine.step_error() not in (None, 0.0, env.worms.engine.step_error())
     for one in (env, twin):
         one.reset(seed=0)
         one.step(np.ones(N_SMALL))
-    assert _alone(twin).step_error == _alone(env).step_error is not None
+    assert twin.worms.engine.step_error() == env.worms.engine.step_error() is not None
 
 
 def test_time_goes_on_where_physics_fails(monkeypatch: pytest.MonkeyPatch) -> None:

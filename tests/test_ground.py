@@ -12,7 +12,8 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.simulation import simulate
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.physics.assembly import PointForce, RodModel
 from lattice_gym.physics.laws.activation import advance_activation
@@ -42,7 +43,7 @@ def test_a_turned_scene_moves_alike(engine_name: EngineName, angle: float) -> No
     world = World(medium=Medium(), ground=BY_DIRECTION, lying=True)
     model = build_model(lattice, named_layout("all", lattice), world)
     start = model.rest_state()
-    engines = [make_engine(engine_name, model, 2e-4) for _ in range(2)]
+    engines = [simulate(engine_name, model, 2e-4) for _ in range(2)]
     engines[1].restore(turned(start, angle))
     rng = np.random.default_rng(0)
     for _ in range(5):
@@ -79,7 +80,7 @@ def test_friction_fades_to_that_across_as_the_body_stands_up(
     position, velocity = rest.position.copy(), np.zeros((model.n_node, 3))
     position[:3, 2] -= load / ground.stiffness
     velocity[:3] = 3.0 * way
-    engine = make_engine(engine_name, model, dt)
+    engine = simulate(engine_name, model, dt)
     engine.restore(replace(rest, position=position, velocity=velocity))
     assert engine.advance([], n_step).ok
     along = share * np.cos(np.radians(heading))
@@ -133,8 +134,8 @@ def test_engines_agree_on_a_crawl() -> None:
     dissipated, as in the air.
     """
     env = LatticeWormEnv("crawl", fidelity="fast", splitting="pyelastica")
-    fused = make_engine("fused", env.model, env.dt, energy_check=True)
-    reference = make_engine("pyelastica", env.model, env.dt)
+    fused = simulate("fused", env.model, env.dt, energy_check=True)
+    reference = simulate("pyelastica", env.model, env.dt)
     start, residual, dissipated = env.state, 0.0, 0.0
     for engine in (fused, reference):
         engine.restore(start)
@@ -160,7 +161,7 @@ def test_the_momentum_of_a_crawl_closes() -> None:
     model, dt, ground = env.model, env.dt, env.model.ground
     assert ground is not None
     slick = replace(model, ground=replace(ground, static_friction=0.0, kinetic_friction=0.0))
-    engine, free = make_engine("fused", model, dt), make_engine("fused", slick, dt)
+    engine, free = simulate("fused", model, dt), simulate("fused", slick, dt)
     mass, keep = model.node_mass, np.exp(-model.node_damping / model.node_mass * dt)
     weight = dt * model.node_weight.sum(axis=0)
     engine.restore(env.state)

@@ -13,8 +13,8 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.physics.assembly import Clamp, Line, PointForce, RodModel
 from lattice_gym.physics.laws.hill import Hill
@@ -50,7 +50,7 @@ def pull_after_a_step(name: EngineName, model: RodModel, length: float, rate: fl
     """
     dt, rest, speed = 1e-4, model.rest_state(), []
     for pull in (tension, 0.0):
-        engine = make_engine(name, model, dt)
+        engine = simulate(name, model, dt)
         start = length - 0.5 * dt * rate
         engine.restore(replace(rest, position=start * rest.position, velocity=rate * rest.position))
         assert engine.advance([pull], 1).ok
@@ -100,7 +100,7 @@ def test_a_loaded_muscle_goes_at_hills_speed(engine_name: EngineName, share: flo
     speed *= 0.2
     ends = []
     for start in (speed, 0.8 * speed):
-        engine = make_engine(engine_name, model, 2e-4)
+        engine = simulate(engine_name, model, 2e-4)
         velocity = np.zeros((6, 3))
         velocity[3:, 2] = start
         engine.restore(replace(model.rest_state(), velocity=velocity))
@@ -110,7 +110,7 @@ def test_a_loaded_muscle_goes_at_hills_speed(engine_name: EngineName, share: flo
     assert abs(ends[1].mean() - speed) < 0.15 * abs(speed)
 
 
-def books(engine: Engine) -> FloatArray:
+def books(engine: Simulation) -> FloatArray:
     """Muscle work, dissipation, stored energy and residual of ramps up and down [J]."""
     total: FloatArray = np.zeros(4)
     for ramp in ([[0.0], [20.0]], [[20.0], [0.0]]) * 2:
@@ -136,18 +136,18 @@ def test_the_ledger_counts_the_force_that_acted(muscle: str, hill: Hill) -> None
     """What is missing falls with the square of the step; the tension alone would have done another work."""
     model = swinging(muscle, hill)
     steps = (1.25e-4, 6.25e-5, 3.125e-5)  # At larger ones the next order shows, with the line.
-    found = [books(make_engine("fused", model, dt, "symmetric", True)) for dt in steps]
+    found = [books(simulate("fused", model, dt, "symmetric", True)) for dt in steps]
     left = [entry[3] for entry in found]
     assert (left[0] - left[1]) / (left[1] - left[2]) > 3.8
     assert abs(left[-1]) < 1e-6 * np.abs(found[-1][:3]).sum()
-    plain = books(make_engine("fused", replace(model, hill=None), steps[-1], "symmetric", True))
+    plain = books(simulate("fused", replace(model, hill=None), steps[-1], "symmetric", True))
     assert abs(found[-1][0] / plain[0] - 1.0) > 2e-3
 
 
 @pytest.mark.parametrize("muscle", ["rod", "line"])
 def test_engines_keep_the_same_books(muscle: str) -> None:
     """PyElastica's steps, counted in numpy, give the same work, dissipation and energy."""
-    both = [books(make_engine(name, swinging(muscle, SLOW), 2e-4, energy_check=True)) for name in
+    both = [books(simulate(name, swinging(muscle, SLOW), 2e-4, energy_check=True)) for name in
             ("fused", "pyelastica")]  # fmt: skip
     np.testing.assert_allclose(both[0], both[1], atol=1e-4 * np.abs(both[1]).max())
 
@@ -158,7 +158,7 @@ def test_engines_agree(options: dict[str, Any]) -> None:
     lattice = build_lattice(LatticeDesign(**options))
     model = build_model(lattice, named_layout("all", lattice), hill=Hill(max_speed=50.0, width=0.3))
     dt = default_dt(model, 0.05, 0.5)
-    engines = [make_engine(name, model, dt) for name in ("fused", "pyelastica")]
+    engines = [simulate(name, model, dt) for name in ("fused", "pyelastica")]
     rng = np.random.default_rng(0)
     for engine in engines:
         assert engine.advance(np.full(model.n_muscle, 0.3), 1).ok
@@ -181,7 +181,7 @@ def test_factors_of_one_change_nothing(engine_name: EngineName) -> None:
     states = []
     for hill in (None, Hill(width=None, max_speed=None), Hill(width=1e6, max_speed=1e9)):
         model = build_model(lattice, named_layout("all", lattice), hill=hill)
-        engine = make_engine(engine_name, model, 2e-4)
+        engine = simulate(engine_name, model, 2e-4)
         assert engine.advance(np.full(model.n_muscle, 0.5), 100).ok
         states.append(engine.state.position)
     assert np.abs(states[1] - states[0]).max() < 1e-15
@@ -194,7 +194,7 @@ def test_the_lattice_bears_the_predicted_step(muscle_model: str, max_speed: floa
     """Random bang-bang tension on a worm at the predicted step: nothing blows up, nothing comes from nowhere."""
     lattice = build_lattice(LatticeDesign(n_pairs=3, elements_per_segment=2, muscle_model=muscle_model))
     model = build_model(lattice, named_layout("all", lattice), hill=Hill(max_speed=max_speed))
-    engine = make_engine("fused", model, stable_dt(model, 0.5, "symmetric"), "symmetric", energy_check=True)
+    engine = simulate("fused", model, stable_dt(model, 0.5, "symmetric"), "symmetric", energy_check=True)
     rng = np.random.default_rng(0)
     for _ in range(40):
         assert engine.advance(0.5 * rng.integers(0, 2, model.n_muscle), 100).ok

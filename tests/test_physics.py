@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.rod import rotation_between
@@ -52,7 +53,7 @@ def test_engines_agree_on_rods_held_out_of_their_own_shape(case: Case) -> None:
     scene = case.build(case.coarse)
     ends = []
     for name in ("fused", "pyelastica"):
-        engine = make_engine(name, scene.model, scene.dt)
+        engine = simulate(name, scene.model, scene.dt)
         engine.restore(scene.start)
         assert engine.advance([], 200).ok
         ends.append(engine.state)
@@ -103,7 +104,7 @@ def test_errors_tell_wrong_from_right(name: str, engine_name: EngineName) -> Non
         replace(rod, youngs_modulus=0.9 * rod.youngs_modulus, shear_modulus=0.9 * rod.shear_modulus)
         for rod in scene.model.rods
     )
-    engine = make_engine(engine_name, replace(scene.model, rods=soft), scene.dt)
+    engine = simulate(engine_name, replace(scene.model, rods=soft), scene.dt)
     engine.restore(scene.start)
     assert scene.observe(engine).error > 2.0 * wrong.tolerance(wrong.coarse)
 
@@ -113,7 +114,7 @@ def test_a_straight_rod_takes_its_natural_curvature(engine_name: EngineName) -> 
     rod = bar(12, rate=20.0)
     natural = np.tile((0.5, -0.3, 0.4), (11, 1))
     model = RodModel(rods=(replace(rod, natural_curvature=natural),))
-    engine = make_engine(engine_name, model, 0.5 * stable_dt(model))
+    engine = simulate(engine_name, model, 0.5 * stable_dt(model))
     pass_time(engine, 4.0)
     directors = engine.state.directors
     assert np.abs(rotation_between(directors[:-1], directors[1:]) / rod.rest_voronoi[:, None] - natural).max() < 1e-7

@@ -16,7 +16,7 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.registry import make_engine
+from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import Clamp, Joint, Line, RodModel
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.hill import Hill
@@ -38,7 +38,7 @@ def worm(**design: Any) -> RodModel:
 
 def holds_still(model: RodModel, dt: float, splitting: Splitting, state: RodState, tension: float) -> bool:
     """Whether 4,000 steps from a slightly shaken balance stay finite and small."""
-    engine = make_engine("fused", model, dt, splitting)
+    engine = simulate("fused", model, dt, splitting)
     shake = 1e-6 * np.random.default_rng(0).standard_normal(state.velocity.shape)
     for clamp in model.clamps:
         if clamp.node is not None:
@@ -145,7 +145,7 @@ def test_a_strong_fast_crawl(splitting: Splitting) -> None:
     n_step, places = math.ceil(0.05 / stable_dt(model, 1.0, splitting)), []
     assert 0.05 / n_step > 2e-4
     for refinement in (1, 4):
-        engine = make_engine("fused", model, 0.05 / n_step / refinement, splitting)
+        engine = simulate("fused", model, 0.05 / n_step / refinement, splitting)
         for k in range(20):
             tension = [0.5 + 0.5 * np.cos(4.0 * np.pi * 0.05 * end - phase) for end in (k, k + 1)]
             assert engine.advance(np.array(tension), n_step * refinement).ok

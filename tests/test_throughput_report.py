@@ -24,7 +24,7 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.engines.fused.engine import FusedEngine
-from lattice_gym.engines.registry import make_engine
+from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.worm import build_model
 
 
@@ -148,7 +148,7 @@ def test_record_bytes_are_those_of_the_engine(pairs: int) -> None:
     """With one block of rods and with two, and muscles beside them."""
     lattice = build_lattice(LatticeDesign(n_pairs=pairs, period_ratio=pairs / scaling.LEVELS_PER_PAIR))
     model = build_model(lattice, named_layout("all", lattice))
-    engine = make_engine("fused", model, 1e-5)
+    engine = simulate("fused", model, 1e-5)
     assert isinstance(engine, FusedEngine)
     assert record_bytes(model) == engine._cells.nbytes
 
@@ -159,7 +159,7 @@ def test_record_bytes_are_those_of_the_engine(pairs: int) -> None:
 def test_plain_pyelastica_moves_as_the_reference_engine() -> None:
     """To rounding over 200 steps, in which the worm moves by a tenth of a millimetre and more."""
     model = benchmark_model()
-    plain, engine = PlainPyElastica(model, 0.5, BENCHMARK_DT), make_engine("pyelastica", model, BENCHMARK_DT)
+    plain, engine = PlainPyElastica(model, 0.5, BENCHMARK_DT), simulate("pyelastica", model, BENCHMARK_DT)
     plain.advance(200)
     assert engine.advance(np.full(model.n_muscle, 0.5), 200).ok
     state = engine.state

@@ -1,194 +1,122 @@
-"""Engines advance a `RodModel` in time: "fused" (compiled, the default) and "pyelastica" (the reference).
+"""What an engine is: it advances worms of one shape in time, all with one time step.
 
-Both take steps of position Verlet: half a drift; all forces of that instant (internal, muscle tension, joints, lines,
-weights and point loads, the ball's push, rods that touch, then the ground's normal force, with the velocities before
-the kick); a full kick, clamps; the friction of the ground, then that of the ball, on the velocities that all this
-leaves; half a drift. Damping follows the kick, as in PyElastica 1.0.0, or goes along with it (see `Splitting`), but
-comes before friction. Friction acts on the centre line: a rod that rolls on the spot is not held, as rods of a lattice
-do not roll.
+Engines take steps of position Verlet: half a drift; all forces of that instant (internal, muscle tension, joints,
+lines, weights and point loads, the ball's push, rods that touch, then the ground's normal force, with the velocities
+before the kick); a full kick, clamps; the friction of the ground, then that of the ball, on the velocities that all
+this leaves; half a drift. Damping follows the kick, as in PyElastica 1.0.0, or goes along with it (see `Splitting`),
+but comes before friction. Friction acts on the centre line: a rod that rolls on the spot is not held, as rods of a
+lattice do not roll.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
-from enum import IntEnum
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.checks import FloatArray, finite_number, real_array, shown, whole_number
+from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.engines.arguments import (
+    difference_in_shape,
+    flag,
+    known_splitting,
+    models_of_one_shape,
+    positive_step,
+    step_count,
+    tension_ramp,
+    thread_count,
+)
+from lattice_gym.engines.energy_audit import EnergyAudit
+from lattice_gym.engines.health import Health
+from lattice_gym.engines.step_doubling import StepComparison
 from lattice_gym.physics.assembly import RodModel
-from lattice_gym.physics.energy import ENERGY_TOLERANCE, EnergyMeter, Flow, Ledger, StoredEnergy, ledger
+from lattice_gym.physics.energy import Flow, Ledger
+from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.state import RodState
-
-STEP_TOLERANCE = 0.03
-"""Distance of a node from its place in a run at half the step, over the longest side of the assembly at rest, above
-which the step is too long: between the 1 % that counts as right and the 10 % that counts as wrong."""
-MAX_STEPS = 2**62
-"""What the step counter of the compiled code holds."""
-
-
-class Status(IntEnum):
-    """How a call to `Engine.advance` ended.
-
-    NON_FINITE: a position, velocity or director is NaN or infinite. OVERSTRETCHED: an element or a line is shorter than
-    `MIN_DILATATION` or longer than `MAX_DILATATION` times its rest length. INVERTED: an element points against its d3.
-    TORN: two joined nodes are further apart than the radii of their rods reach, see `joint_reach`. ENERGY: more energy
-    came from nowhere than the ledger tolerates, see `energy.ENERGY_TOLERANCE`; looked for only with the energy check.
-    INACCURATE: a run at half the step, taken along since the state was last set, is further away than `STEP_TOLERANCE`,
-    or failed itself; looked for only with the step check.
-    """
-
-    OK = 0
-    NON_FINITE = 1
-    OVERSTRETCHED = 2
-    INVERTED = 3
-    TORN = 4
-    ENERGY = 5
-    INACCURATE = 6
-
-
-@dataclass(frozen=True)
-class Health:
-    """Status, and where it shows: rod and element, and the joint where one is torn (-1 where there is none).
-
-    A failure without a rod is the ball's.
-    """
-
-    status: Status = Status.OK
-    rod: int = -1
-    element: int = -1
-    joint: int = -1
-
-    @property
-    def ok(self) -> bool:
-        """True while the state can be trusted to be a state at all."""
-        return self.status is Status.OK
-
-    def __str__(self) -> str:
-        if self.ok:
-            return "ok"
-        if self.rod < 0:
-            return f"{self.status.name.lower()} (ball)"
-        joint = f", joint {self.joint}" if self.joint >= 0 else ""
-        return f"{self.status.name.lower()} (rod {self.rod}, element {self.element}{joint})"
-
-
-def joint_reach(model: RodModel) -> FloatArray:
-    """Gap at which each joint counts as torn [m], shape (n_joint,): its gap at rest and the radii of both rods.
-
-    Two rods that lie further apart than that have come off each other.
-    """
-    reach = np.zeros(len(model.joints))
-    for k, joint in enumerate(model.joints):
-        a, b = model.rods[joint.rod_a], model.rods[joint.rod_b]
-        gap = float(np.linalg.norm(a.position[joint.node_a] - b.position[joint.node_b]))
-        radii = (rod.radius[min(node, rod.n_elem - 1)] for rod, node in ((a, joint.node_a), (b, joint.node_b)))
-        reach[k] = gap + float(sum(radii))
-    return reach
-
-
-def torn(model: RodModel, joint: int) -> Health:
-    """Health that names a torn joint, by its first rod and the element at its node there."""
-    tie = model.joints[joint]
-    return Health(Status.TORN, tie.rod_a, _element_at(model, tie.rod_a, tie.node_a), joint)
-
-
-def overstretched(model: RodModel, line: int) -> Health:
-    """Health that names the rod and element at the first end of an over-stretched line."""
-    tie = model.lines[line]
-    return Health(Status.OVERSTRETCHED, tie.rod_a, _element_at(model, tie.rod_a, tie.node_a))
-
-
-def _element_at(model: RodModel, rod: int, node: int) -> int:
-    """Element that begins at a node, or the last one."""
-    return min(node, model.rods[rod].n_elem - 1)
-
-
-def positive_step(dt: float) -> float:
-    """Time step [s], or a ValueError."""
-    if (step := finite_number(dt)) is None or step <= 0.0:
-        raise ValueError(f"dt = {shown(dt)}: must be positive and finite [s]")
-    return step
-
-
-def tension_ramp(tension: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-    """Tensions at the start and the end of a call, both of the given shape, or a ValueError."""
-    pull = real_array("tension", tension)
-    if pull.shape not in (shape, (2, *shape)):
-        raise ValueError(f"tension: shape must be {shape} or {(2, *shape)}, got {pull.shape}")
-    if (pull < 0.0).any():
-        raise ValueError("tension: must be finite and not negative [N]")
-    return (pull[0], pull[1]) if pull.ndim > len(shape) else (pull, pull)
-
-
-def step_count(n_substeps: int) -> int:
-    """Find a number of steps that the compiled code can count, or raise a ValueError."""
-    count = whole_number(n_substeps)
-    if count is None or not 1 <= count <= MAX_STEPS:
-        raise ValueError(f"n_substeps = {shown(n_substeps)}: must be a whole number, at least 1")
-    return count
 
 
 class Engine(ABC):
-    """Integrates one assembly with a fixed time step."""
+    """Advances worms of one shape, each of which moves to the last bit as it would alone.
 
-    def __init__(self, model: RodModel, dt: float, energy_check: bool = False) -> None:
-        self.model = model
+    What one does, diverging included, no other feels. A subclass takes the same arguments and gives `_advance`,
+    `_health`, `_state`, `_restore`, `_replace` and `_flow`; all else is here: checks of arguments, what worms show, the
+    energy ledger, and step doubling.
+
+    Parameters
+    ----------
+    models
+        One model a worm: the same rods by number of elements, the same joints, lines, muscles and ball; all else may
+        differ.
+    dt
+        Time step [s].
+    splitting
+        When velocities are damped in a step.
+    energy_check
+        Keep an energy ledger over every call, and fail where too much energy is spurious.
+    step_check
+        Take along every worm at half the step, and fail where it goes elsewhere: three times the cost.
+    num_threads
+        How many threads at most advance the worms; None: as many as there are cores for this process.
+
+    Attributes
+    ----------
+    models : list of RodModel
+        One a worm.
+    n_worm : int
+        Number of worms.
+    dt : float
+        Time step [s].
+    position, velocity
+        Of the nodes [m], [m/s], shape (n_worm, n_node, 3), written in place: as of the last sound moment of each worm.
+    bolus_position, bolus_velocity
+        Of the balls [m], [m/s], shape (n_worm, n_bolus, 3), likewise.
+
+    Raises
+    ------
+    ValueError
+        No model, one of another shape, a step that is not positive and finite, a splitting that the engine lacks, a
+        check that is not a bool, `num_threads` that is no whole number above 0.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[RodModel],
+        dt: float,
+        splitting: Splitting = "pyelastica",
+        *,
+        energy_check: bool = False,
+        step_check: bool = False,
+        num_threads: int | None = None,
+    ) -> None:
+        self.splitting = known_splitting(splitting)
+        self.energy_check, self.step_check = flag("energy_check", energy_check), flag("step_check", step_check)
+        self.models = models_of_one_shape(models)
+        self.n_worm = len(self.models)
         self.dt = positive_step(dt)
-        self._meter = EnergyMeter(model) if energy_check else None
-        self._shadow: Engine | None = None
-        self._size = float(np.ptp(model.rest_state().position, axis=0).max())
-        self._step_error: float | None = None
-        self._before: tuple[RodState, StoredEnergy] | None = None
-        self._ledger: Ledger | None = None
+        self.num_threads = thread_count(num_threads)
+        model = self.models[0]
+        self.position, self.velocity = np.zeros((2, self.n_worm, model.n_node, 3))
+        self.bolus_position, self.bolus_velocity = np.zeros((2, self.n_worm, model.n_bolus, 3))
+        for worm, model in enumerate(self.models):
+            self._show(worm, model.rest_state())
+        self._failures: dict[int, Health] = {}
+        self._audits = [EnergyAudit(model) for model in self.models] if energy_check else []
+        self._comparisons = [StepComparison(model) for model in self.models] if step_check else []
+        self._finer: Engine | None = None
+        if step_check:
+            self._finer = type(self)(self.models, 0.5 * self.dt, splitting, num_threads=num_threads)
 
-    @property
-    @abstractmethod
-    def state(self) -> RodState:
-        """A copy of the state."""
+    def advance(self, tension: npt.ArrayLike, n_substeps: int) -> IntArray:
+        """Advance every worm by n_substeps * dt; return the codes of their `Status`, shape (n_worm,).
 
-    def restore(self, state: RodState) -> None:
-        """Take over a state; going on from it gives to the last bit what the engine that gave it would.
-
-        Raises
-        ------
-        ValueError
-            The state does not fit the model, is not finite, or has moved a clamped node.
-        """
-        state.check(self.model)
-        self._restore(state)
-        if self._meter is not None:
-            self._flow()  # A call that failed has left its sums, finite or not.
-        if self._shadow is not None:
-            self._shadow.restore(state)
-        self._before = self._ledger = self._step_error = None
-
-    @property
-    def ledger(self) -> Ledger | None:
-        """Energy over the last call to `advance`, that of one which failed by it included.
-
-        None before the first call, after any other failure, and without the check.
-        """
-        return self._ledger
-
-    @property
-    def step_error(self) -> float | None:
-        """Largest distance of a node or the ball from a run at half the step, over the longest side at rest.
-
-        None before the first call to `advance`, where either run failed, and without the check.
-        """
-        return self._step_error
-
-    def advance(self, tension: npt.ArrayLike, n_substeps: int) -> Health:
-        """Advance by n_substeps * dt.
+        A worm that failed goes on from where it is in the next call, unless it is restored or replaced.
 
         Parameters
         ----------
         tension
-            Muscle tensions [N], shape (n_muscle,) and held, or (2, n_muscle): linear in time from the first row at the
-            start of the call to the second at its end (each step takes the value at its middle).
+            Muscle tensions [N], shape (n_worm, n_muscle) and held, or (2, n_worm, n_muscle): linear in time from the
+            first at the start of the call to the second at its end (each step takes the value at its middle).
         n_substeps
             Number of steps, at least 1.
 
@@ -197,58 +125,144 @@ class Engine(ABC):
         ValueError
             Wrong shape, a tension that is negative or not finite, or no step.
         """
-        start, end = tension_ramp(tension, (self.model.n_muscle,))
+        start, end = tension_ramp(tension, (self.n_worm, self.models[0].n_muscle))
         count = step_count(n_substeps)
-        if self._meter is not None and self._before is None:
-            self._before = (state := self.state), self._meter.stored(state)
-        self._ledger = self._step_error = None
-        health = self._advance(start, end, count)
-        other = None if self._shadow is None else self._shadow._advance(start, end, 2 * count)
-        if not health.ok:
-            return health
-        if self._meter is not None and self._before is not None:
-            health = self._audit(self._meter, *self._before)
-        if self._shadow is not None and other is not None:
-            compared = self._compared(self._shadow.state, other)
+        if self._audits or self._finer is not None:
+            return self._advance_checked(start, end, count)
+        codes = np.array(self._advance(start, end, count), np.int64)
+        self._failures = {worm: self._health(worm) for worm in np.flatnonzero(codes).tolist()}
+        return codes
+
+    def _advance_checked(self, start: FloatArray, end: FloatArray, n_substeps: int) -> IntArray:
+        """Advance with the checks that are on: a worm that fails one shows where it was before the call."""
+        for worm, audit in enumerate(self._audits):
+            if not audit.is_open:
+                audit.open(self._state(worm))
+        arrays = self.position, self.velocity, self.bolus_position, self.bolus_velocity
+        before = [array.copy() for array in arrays]
+        codes = np.array(self._advance(start, end, n_substeps), np.int64)
+        finer = None if self._finer is None else self._finer._advance(start, end, 2 * n_substeps)
+        self._failures = {}
+        for worm in range(self.n_worm):
+            if codes[worm] != 0:
+                self._discard_checks(worm)
+                self._failures[worm] = self._health(worm)
+                continue
+            health = self._checked(worm, finer is not None and finer[worm] != 0)
+            if not health.ok:
+                codes[worm], self._failures[worm] = health.status, health
+                for array, shown in zip(arrays, before, strict=True):
+                    array[worm] = shown[worm]
+        return codes
+
+    def _checked(self, worm: int, finer_failed: bool) -> Health:
+        """Judge a worm whose call ended in a state."""
+        state, health = self._state(worm), Health()
+        if self._audits:
+            health = self._audits[worm].close(state, self._flow(worm))
+        if self._finer is not None:
+            ended = self._finer._health(worm) if finer_failed else Health()
+            compared = self._comparisons[worm].compare(state, self._finer._state(worm), ended)
             health = compared if health.ok else health
         return health
 
-    def shadowed(self, shadow: Engine) -> Engine:
-        """Take along an engine of half the step, at the same state, and compare with it after every call."""
-        self._shadow = shadow
-        return self
+    def health(self, worm: int = 0) -> Health:
+        """How a worm ended the last call to `advance`, and where it failed."""
+        return self._failures.get(range(self.n_worm)[worm], Health())
 
-    def _compared(self, other: RodState, health: Health) -> Health:
-        """Judge how far nodes and ball are from where the engine at half the step has them, which ended in `health`."""
-        if not health.ok:
-            return replace(health, status=Status.INACCURATE)
-        own, place = ((np.concatenate([state.position, state.bolus_position])) for state in (self.state, other))
-        apart = np.linalg.norm(own - place, axis=1)
-        node = int(np.argmax(apart))
-        self._step_error = float(apart[node]) / self._size
-        if self._step_error <= STEP_TOLERANCE:
-            return Health()
-        if node >= self.model.n_node:
-            return Health(Status.INACCURATE)
-        rod = int(np.searchsorted(self.model.node_offset, node, side="right")) - 1
-        return Health(Status.INACCURATE, rod, _element_at(self.model, rod, node - int(self.model.node_offset[rod])))
+    def state(self, worm: int = 0) -> RodState:
+        """Copy the state of a worm, sound or not."""
+        return self._state(worm)
 
-    def _audit(self, meter: EnergyMeter, state: RodState, stored: StoredEnergy) -> Health:
-        """Draw up the ledger of a call that began with a state, and judge it."""
-        now, flow = self.state, self._flow()
-        held = meter.stored(now)
-        work = replace(flow, load_work=flow.load_work + meter.force_work(state, now))
-        self._before, self._ledger = (now, held), ledger(stored, held, work, meter.least)
-        if not self._ledger.residual >= -ENERGY_TOLERANCE * self._ledger.scale:
-            return Health(Status.ENERGY, *meter.most(held))
-        return Health()
+    def restore(self, worm: int, state: RodState) -> None:
+        """Take over the state of a worm; going on from it gives to the last bit what the engine that gave it would.
+
+        Raises
+        ------
+        ValueError
+            The state does not fit the model, is not finite, or has moved a clamped node.
+        """
+        state.check(self.models[worm])
+        self._restore(worm, state)
+        self._show(worm, state)
+        self._discard_checks(worm)
+        if self._finer is not None:
+            self._finer.restore(worm, state)
+
+    def replace(self, worm: int, model: RodModel) -> None:
+        """Let a worm begin again from the rest state of another model of the same shape.
+
+        Raises
+        ------
+        ValueError
+            The model is of another shape.
+        """
+        if (differs := difference_in_shape(self.models[worm], model)) is not None:
+            raise ValueError(f"model: must have the shape of the one before, but differs in {differs}")
+        self._replace(worm, model)
+        self.models[worm] = model
+        self._show(worm, model.rest_state())
+        if self._audits:
+            self._audits[worm] = EnergyAudit(model)
+        if self._finer is not None:
+            self._comparisons[worm] = StepComparison(model)
+            self._finer.replace(worm, model)
+
+    def ledger(self, worm: int = 0) -> Ledger | None:
+        """Energy of a worm over the last call to `advance`, that of one which failed by it included.
+
+        None before the first call, after any other failure, and without the check.
+        """
+        return self._audits[worm].ledger if self._audits else None
+
+    def step_error(self, worm: int = 0) -> float | None:
+        """Largest distance of a node or the ball from a run at half the step, over the longest side at rest.
+
+        None before the first call to `advance`, where either run failed, and without the check.
+        """
+        return self._comparisons[worm].error if self._comparisons else None
+
+    def close(self) -> None:
+        """Give back threads; a later call to `advance` would begin new ones."""
+        if self._finer is not None:
+            self._finer.close()
+
+    def _show(self, worm: int, state: RodState) -> None:
+        """Write out where nodes and ball are."""
+        self.position[worm], self.velocity[worm] = state.position, state.velocity
+        self.bolus_position[worm], self.bolus_velocity[worm] = state.bolus_position, state.bolus_velocity
+
+    def _discard_checks(self, worm: int) -> None:
+        """Forget what the checks know of a worm."""
+        if self._audits:
+            self._audits[worm].discard()
+        if self._comparisons:
+            self._comparisons[worm].discard()
 
     @abstractmethod
-    def _restore(self, state: RodState) -> None: ...
+    def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> IntArray:
+        """Advance with tensions from `start` to `end` [N], shape (n_worm, n_muscle); return codes, shape (n_worm,).
+
+        Where a worm ends in a sound state its rows of `position`, `velocity`, `bolus_position` and `bolus_velocity` are
+        written, for instance by `_show`; else they stay.
+        """
 
     @abstractmethod
-    def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health: ...
+    def _health(self, worm: int) -> Health:
+        """How a worm ended the last `_advance`; asked for only where it failed."""
 
     @abstractmethod
-    def _flow(self) -> Flow:
-        """Energy that entered and left since the last call; asked for only with the energy check."""
+    def _state(self, worm: int) -> RodState:
+        """Copy the state of a worm."""
+
+    @abstractmethod
+    def _restore(self, worm: int, state: RodState) -> None:
+        """Take over a state that fits; nothing of what came before may be felt."""
+
+    @abstractmethod
+    def _replace(self, worm: int, model: RodModel) -> None:
+        """Begin at the rest state of a model of the same shape; `models` still holds the one before."""
+
+    @abstractmethod
+    def _flow(self, worm: int) -> Flow:
+        """Energy that entered a worm and left it in the last `_advance`; asked for only with the energy check."""

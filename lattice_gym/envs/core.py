@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.checks import FloatArray, IntArray
-from lattice_gym.engines.base import Health
+from lattice_gym.engines.health import Health
+from lattice_gym.engines.registry import make_engine
 from lattice_gym.envs.measures import Measures
 from lattice_gym.envs.observation import Observation, Observer
 from lattice_gym.envs.randomisation import pull, varied
@@ -75,7 +76,7 @@ class Worms:
         Whose physics failed in its last step, shape (n_worm,).
     observer : Observer
         What is observed: terms, their slices, and the space.
-    engine : BatchEngine
+    engine : Engine
         What advances them.
 
     """
@@ -196,8 +197,9 @@ class Worms:
         live
             Worms that step; None: all. Of the others nothing is asked, and they earn nothing.
         """
-        scene, live = self.scene, np.ones(self.n_worm, dtype=np.bool_) if live is None else live
-        before, after = self.group_activation, followed(self.group_activation, command, *self._left)
+        scene, before = self.scene, self.group_activation
+        live = np.ones(self.n_worm, dtype=np.bool_) if live is None else live
+        after = followed(before, command, *self._left)
         tension = scene.design.max_tension * np.array([before, after]).take(scene.groups, axis=-1)
         by_use = None if self._use is None else self._use.factor
         factors = [factor for factor in (by_use, self._pull) if factor is not None]
@@ -205,20 +207,20 @@ class Worms:
             self.task.strength = math.prod(factors[1:], start=factors[0])
             tension *= self.task.strength
         sound = self._advance(tension, live)
-        self.failed = live & ~sound | self.failed & ~live
         self.n_step += live
-        if sound.all():
+        if whole := bool(sound.all()):
+            self.failed[:] = False
             self.group_activation, self.previous_action = after, command.copy()
         else:
+            self.failed = np.where(live, ~sound, self.failed)
             self.group_activation = np.where(sound[:, None], after, before)
             self.previous_action = np.where(sound[:, None], command, self.previous_action)
         if scene.adaptation is not None and self._use is not None:
             active, strain = 0.5 * (before + after)[:, scene.groups], muscle_strain(scene.model, self.motion.position)
             used = scene.adaptation.used(self._use, active, tension.mean(axis=0), strain, scene.control_dt)
             self._use = self._use.where(sound, used)
-        terms = self._scored(sound, live)
-        reward: FloatArray = np.asarray(sum(terms.values()))
-        return Step(terms, reward, live & (self.failed | self.task.over(self.motion)))
+        terms, over = self._scored(None if whole else sound, live), self.task.over(self.motion)
+        return Step(terms, np.asarray(sum(terms.values())), over if whole else live & (~sound | over))
 
     def close(self) -> None:
         """End the engine's threads; a later step would begin new ones."""
@@ -237,14 +239,12 @@ class Worms:
 
     def _open(self, states: list[RodState]) -> None:
         """Make the engine, with worms in these states, and show how they move."""
-        from lattice_gym.engines.batch import BatchEngine  # compiled code, which the package does not load unasked
-
         scene = self.scene
-        engine = self.engine = BatchEngine(
+        engine = self.engine = make_engine(
+            scene.engine,
             self._models,
             scene.dt,
             scene.splitting,
-            engine=scene.engine,
             energy_check=scene.energy_check,
             step_check=scene.step_check,
             num_threads=self._num_threads,
@@ -272,9 +272,9 @@ class Worms:
                     self.engine.restore(worm, self._kept[worm])
         return sound
 
-    def _scored(self, sound: Mask, live: Mask) -> dict[str, FloatArray]:
-        """Reward terms of the step that ends, shape (n_worm,) each."""
-        lost = None if sound.all() else np.flatnonzero(~sound)
+    def _scored(self, sound: Mask | None, live: Mask) -> dict[str, FloatArray]:
+        """Reward terms of the step that ends, shape (n_worm,) each; None: all worms are sound."""
+        lost = None if sound is None else np.flatnonzero(~sound)
         memory = {} if lost is None else self.task.remembered(lost)
         terms = self.task.reward_terms(self.motion, self.activation, self.sound_time)
         terms[DIVERGENCE] = np.zeros(self.n_worm)
@@ -282,7 +282,7 @@ class Worms:
             self.task.remind(lost, memory)
             for values in terms.values():
                 values[lost] = 0.0
-            terms[DIVERGENCE][live & ~sound] = -self.task.penalty
+            terms[DIVERGENCE][self.failed & live] = -self.task.penalty
         return terms
 
 

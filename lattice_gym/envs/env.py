@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from lattice_gym.body.design import LatticeDesign
 from lattice_gym.checks import FloatArray, IntArray, shown, whole_number
 from lattice_gym.envs.core import Worms
 from lattice_gym.envs.observation import Observation
@@ -250,8 +251,8 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         rods that are sheared and stretched at once is no potential's: a violent snap may be flagged at any step.
     step_check
         Take a run at half the step along and end an episode where it leads elsewhere, by more than
-        `engines.STEP_TOLERANCE` of the longest side: the one check that also catches a run which goes astray smoothly,
-        as near a snap. Three times the computing. A pickled environment begins the comparison anew.
+        `step_doubling.STEP_TOLERANCE` of the longest side: the one check that also catches a run which goes astray
+        smoothly, as near a snap. Three times the computing. A pickled environment begins the comparison anew.
     control_dt
         Time between actions [s].
     observation
@@ -299,10 +300,15 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     observation_space: spaces.Space[Any]
 
     def __init__(
-        self, task: str | type[Task] | None = None, *, render_mode: str | None = None, **arguments: Any
+        self,
+        task: str | type[Task] | None = None,
+        design: LatticeDesign | Mapping[str, Any] | None = None,
+        *,
+        render_mode: str | None = None,
+        **arguments: Any,
     ) -> None:
         self.render_mode = checked_render_mode(render_mode)
-        self.scene = scene = Scene(task, goals_apart=self._goals_apart, **arguments)
+        self.scene = scene = Scene(task, design, goals_apart=self._goals_apart, **arguments)
         self.worms = Worms(scene, keep_state=True)
         self.task = self.worms.task
         self.design, self.lattice, self.layout, self.world = scene.design, scene.lattice, scene.layout, scene.world

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, get_args
+from typing import Any
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import MuscleLayout, control_groups, resolve_layout
 from lattice_gym.checks import IntArray, Part, is_number, shown
-from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.registry import ENGINES, EngineName
 from lattice_gym.envs.fidelity import FidelityName, named_fidelity
 from lattice_gym.envs.observation import TermLike, resolve_terms
 from lattice_gym.envs.randomisation import Randomisation
@@ -96,7 +96,7 @@ class Scene:
         goals_apart: bool = False,
     ) -> None:
         self.task, self.goals_apart = _task(task, goals_apart), goals_apart
-        check_choice("engine", engine, get_args(EngineName))
+        check_choice("engine", engine, tuple(ENGINES))
         self.control_dt = _number("control_dt", control_dt, SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT, "s")
         self.rhythm = None if rhythm is None else _number("rhythm", rhythm, 0.0, 0.5 / self.control_dt, "Hz")
         preset = named_fidelity(fidelity)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lattice_gym.engines.registry import make_engine
+from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.stable_step import default_dt
 from lattice_gym.physics.state import Motion, RodState
@@ -38,12 +38,12 @@ def settled(task: Task, model: RodModel) -> RodState:
     body = replace(model, medium_drag=min(model.medium_drag, SETTLING_DRAG))
     # Slack muscles damp nothing, whatever their law, and need no shorter step for it.
     step = default_dt(replace(body, hill=None), SETTLING_SPAN, design.max_tension)
-    engine, start, now, speed = make_engine("fused", body, step), state, state, np.inf
+    run, start, now, speed = simulate("fused", body, step), state, state, np.inf
     for _ in range(round(LONGEST_SETTLING / SETTLING_SPAN)):
-        health, before = engine.advance(np.zeros(model.n_muscle), round(SETTLING_SPAN / step)), now
+        health, before = run.advance(np.zeros(model.n_muscle), round(SETTLING_SPAN / step)), now
         if not health.ok:
             raise ValueError(f"world: worm and ball do not come to rest in it: {health}")
-        now = engine.state
+        now = run.state
         speed = _speed(before, now) / design.height
         start = replace(state, position=now.position, directors=now.directors, bolus_position=now.bolus_position)
         if speed <= QUIET or task.over(Motion.of(start))[0]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
+from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import Ball, Clamp, RodModel
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
@@ -42,7 +42,7 @@ def ball_at_rest(n_elem: int) -> Scene:
     damping = 2.0 * np.sqrt(SOFT)
     model = _on_rails(n_elem, (0.0,), REACH, stiffness=SOFT, damping=damping, force=(0.0, 0.0, -GRAVITY))
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         pass_time(engine, 1.2)
         depth = REACH - engine.state.bolus_position[:, 2]
         return Reading(np.array([1.2]), 1e3 * depth, np.array([1e3 * GRAVITY / SOFT]))
@@ -57,7 +57,7 @@ def ball_that_rolls(n_elem: int) -> Scene:
     assert model.bolus is not None
     gain, rolling = FRICTION * GRAVITY * arm**2 / model.bolus.inertia, arm**2 / (arm**2 + model.bolus.inertia)
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times, measured = np.linspace(0.02, 0.2, 10), []
         for _ in times:
             pass_time(engine, 0.02)
@@ -80,7 +80,7 @@ def _pressed(n_elem: int, load: float) -> Scene:
     force = (load * limit, 0.0, 0.0)
     model = _on_rails(n_elem, (-across, across), 0.0, stiffness=SOFT, friction=FRICTION, force=force)
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times, measured = np.linspace(0.1, 0.5, 5), []
         for _ in times:
             pass_time(engine, 0.1)
@@ -134,7 +134,7 @@ def ball_hits_rod(n_elem: int) -> Scene:
         angular += hitting.inertia * state.bolus_omega[0]
         return np.concatenate([carried.sum(axis=0), angular / RADIUS])
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         before, times, measured = momenta(start), np.linspace(1e-3, 5e-3, 5), []
         for _ in times:
             pass_time(engine, 1e-3)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
+from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.rod import Rod, straight_frames
 from lattice_gym.physics.stable_step import stable_dt
@@ -77,13 +77,13 @@ def michell_ring(n_elem: int) -> Scene:
     start = model.rest_state()
     start.position[:, 2] += np.concatenate([(-1) ** k * _RING_SEED * RING_RADIUS * seed for k in range(len(rods))])
 
-    def amplitude(engine: Engine) -> FloatArray:
+    def amplitude(engine: Simulation) -> FloatArray:
         height = engine.state.position[:, 2].reshape(len(TWISTS), 2, n_elem + 2)[:, :, :n_elem]
         waves = 0.5 * (height[:, 0] - height[:, 1]) @ np.exp(2j * angle)
         size: FloatArray = np.abs(waves)
         return size
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         period = 2.0 * np.pi / slowest
         pass_time(engine, 0.75 * _RING_PERIODS * period)
         before, began = amplitude(engine), engine.state.time
@@ -198,7 +198,7 @@ def localised_buckle(n_elem: int) -> Scene:
     model = RodModel(rods=(rod,), clamps=clamp_ends(0, n_elem))
     axis = position[-1] - position[0]
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         pass_time(engine, _PERIODS * 2.0 * np.pi / rate)
         s = (np.arange(n_elem) + 0.5) / n_elem
         cosine = engine.state.directors[:, 2] @ axis / np.linalg.norm(axis)

@@ -14,7 +14,7 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
+from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import Clamp, Joint, PointForce, PointTorque, RodModel
 from lattice_gym.physics.rod import SHEAR_CORRECTION, Rod, rotation_between, straight_frames, straight_rod
 from lattice_gym.physics.stable_step import stable_dt
@@ -60,7 +60,7 @@ def axial_stretch(n_elem: int) -> Scene:
     )
     rest = model.rest_state()
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         pass_time(engine, 60.0 / slowest)
         z = rest.position[:, 2] + 0.5 * LENGTH
         moved = engine.state.position[:, 2] - rest.position[:, 2]
@@ -82,7 +82,7 @@ def axial_vibration(n_elem: int) -> Scene:
     velocity[:, 2] = 1e-6 * modes.sum(axis=0)
     exact = np.array([(2 * j - 1) / (4.0 * LENGTH) * SPEED for j in AXIAL_MODES])
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         signal = []
         for _ in range(int(4.2 / exact[0] / engine.dt)):
             pass_time(engine, engine.dt)
@@ -110,7 +110,7 @@ def timoshenko_cantilever(n_elem: int) -> Scene:
         forces=tuple(PointForce(0, node, (force, 0.0, 0.0)) for node in (0, 2 * n_elem)),
     )
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         pass_time(engine, 30.0 / slowest)
         x = engine.state.position[:, 0]
         s = np.abs(np.linspace(-LENGTH, LENGTH, 2 * n_elem + 1))
@@ -132,7 +132,7 @@ def _turned_by_couples(n_elem: int, axis: int, stiffness: float, slowest: float,
     torques = (PointTorque(0, 0, start), PointTorque(0, n_elem - 1, end))
     model = RodModel(rods=(bar(n_elem, rate=SETTLING * slowest),), torques=torques)
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         pass_time(engine, settling_time)
         directors = engine.state.directors
         turned = rotation_between(np.broadcast_to(directors[0], directors.shape), directors)
@@ -204,7 +204,7 @@ def helical_spring(n_elem: int) -> Scene:
         torques=(PointTorque(0, n_elem - 1, (float(couple[0]), float(couple[1]), float(couple[2]))),),
     )
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         pass_time(engine, 28.0 / slowest)
         state = engine.state
         turned = directors[-1].T @ rotation_between(directors[-1:], state.directors[-1:])[0]
@@ -224,7 +224,7 @@ def drag_only(n_elem: int) -> Scene:
     velocity, omega = np.zeros_like(rest.velocity), np.zeros_like(rest.omega)
     velocity[:, 2], omega[:, 2] = 1e-9, 1e-3
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times, measured = np.linspace(0.2, 3.0, 15), []
         for _ in times:
             pass_time(engine, 0.2)
@@ -236,7 +236,7 @@ def drag_only(n_elem: int) -> Scene:
     return Scene(model, replace(rest, velocity=velocity, omega=omega), 0.01, observe)
 
 
-def _momenta(engine: Engine) -> tuple[FloatArray, FloatArray]:
+def _momenta(engine: Simulation) -> tuple[FloatArray, FloatArray]:
     """Momentum, and angular momentum about the origin, each over the sum of what its nodes carry."""
     model, state = engine.model, engine.state
     carried = model.node_mass[:, None] * state.velocity
@@ -255,7 +255,7 @@ def _free_lattice(n_elem: int, which: int) -> Scene:
     lattice = build_lattice(design)
     model = build_model(lattice, named_layout("all", lattice))
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         tension = 0.3 * np.random.default_rng(1).random(model.n_muscle)
         times, measured = np.linspace(0.005, 0.02, 4), []
         for _ in times:
@@ -291,14 +291,14 @@ def energy(n_elem: int, angle: float = ENERGY_ANGLE) -> Scene:
     velocity[:, 2] = 3.0 * np.sin(np.pi * rest.position[:, 2] / LENGTH)
     frequency = 2.0 * SPEED * n_elem / LENGTH * np.sin(0.5 * np.pi / n_elem)
 
-    def total(engine: Engine) -> float:
+    def total(engine: Simulation) -> float:
         """Kinetic energy plus E A l (e - 1 - ln e) [J], whose slope is the force E A (e - 1) / e of an element."""
         state = engine.state
         dilatation = np.diff(state.position[:, 2]) / rod.rest_length
         stored = rod.stretch_stiffness * rod.rest_length * (dilatation - 1.0 - np.log(dilatation))
         return float(0.5 * (rod.mass * state.velocity[:, 2] ** 2).sum() + stored.sum())
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         start, times, measured = total(engine), [], []
         for _ in range(round(0.5 * ENERGY_TIME / angle)):
             pass_time(engine, 2.0 * engine.dt)
@@ -331,7 +331,7 @@ def free_precession(n_elem: int) -> Scene:
         directions: FloatArray = carried / np.linalg.norm(carried, axis=1)[:, None]
         return directions
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times, measured = np.linspace(turn / n_sample, turn, n_sample), []
         start = axes(engine.state).ravel()
         for _ in times:
@@ -361,7 +361,7 @@ def soft_joint(n_elem: int) -> Scene:
     steps = int(np.ceil(0.5 * period / n_sample / (STABLE_SHARE * stable_dt(model))))
     dt = 0.5 * period / n_sample / steps
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times, gap = [], []
         for _ in range(n_sample):
             pass_time(engine, steps * dt)

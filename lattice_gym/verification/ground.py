@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
+from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.rod import Rod, straight_rod
 from lattice_gym.physics.state import RodState
@@ -52,7 +52,7 @@ def rest_penetration(n_elem: int) -> Scene:
         ground=Ground(stiffness=STIFFNESS, damping=DAMPING),
     )
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         pass_time(engine, 3.0)
         depth = RADIUS - engine.state.position[:, 2]
         return Reading(np.linspace(0.0, LENGTH, n_elem + 1), 1e3 * depth, 1e3 * _weight(n_elem) / STIFFNESS)
@@ -75,7 +75,7 @@ def free_fall(n_elem: int) -> Scene:
     density = np.repeat(FALL_DENSITIES, n_elem + 1)
     terminal, rate = (MEDIUM - density) * AREA * GRAVITY / DRAG, DRAG / (density * AREA)
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times, measured = np.linspace(0.2, 2.0, 10), []
         for _ in times:
             pass_time(engine, 0.2)
@@ -103,7 +103,7 @@ def _start(model: RodModel, weight: FloatArray, velocity: FloatArray, yaw: float
     return replace(rest, position=position, directors=rest.directors @ turn, velocity=velocity)
 
 
-def _track(engine: Engine, times: FloatArray, direction: FloatArray) -> FloatArray:
+def _track(engine: Simulation, times: FloatArray, direction: FloatArray) -> FloatArray:
     """Way of every node along its block's direction, shape (n_block, 3), at even times: (n_time, n_node)."""
     model, start, way = engine.model, engine.state.position, []
     along = np.repeat(direction, model.n_node // model.n_rod, axis=0)
@@ -137,7 +137,7 @@ def _slide(n_elem: int, forward: float, backward: float, sideways: float) -> Sce
     held = FRICTION * np.hypot(along, sideways * np.sin(HEADINGS)) * NET_GRAVITY
     slowest = SLIP_SPEED / held.min()
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times = engine.dt * np.round(np.arange(1, 21) * round(1.1 * slowest / 20.0 / engine.dt))
         exact = _until_rest(times, np.full(len(held), SLIP_SPEED), held)
         return Reading(times, _track(engine, times, heading), np.repeat(exact, n_elem + 1, axis=1))
@@ -173,7 +173,7 @@ def _incline(n_elem: int, slope: float, speed: FloatArray, acceleration: FloatAr
     down = np.tile([1.0, 0.0, 0.0], (len(speed), 1))
     start = _start(model, _weight(n_elem) / np.hypot(slope, 1.0), speed[:, None] * down)
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times = np.linspace(0.05, 0.5, 10)
         stop = np.divide(-speed, acceleration, out=np.full(len(speed), np.inf), where=speed * acceleration < 0.0)
         moving = np.minimum(times[:, None], stop)

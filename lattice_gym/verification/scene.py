@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.rod import straight_frames
@@ -46,7 +46,7 @@ class Scene:
     model: RodModel
     start: RodState
     dt: float
-    observe: Callable[[Engine], Reading]
+    observe: Callable[[Simulation], Reading]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +103,7 @@ def run(case: Case, engine_name: EngineName, n_elem: int | None = None, splittin
     n_elem = case.n_elem if n_elem is None else n_elem
     began = time.perf_counter()
     scene = case.build(n_elem)
-    engine = make_engine(engine_name, scene.model, scene.dt, splitting)
+    engine = simulate(engine_name, scene.model, scene.dt, splitting)
     engine.restore(scene.start)
     reading = scene.observe(engine)
     return Outcome(case, engine_name, n_elem, scene.dt, reading, engine.state, time.perf_counter() - began)
@@ -116,7 +116,7 @@ def difference(first: Outcome, second: Outcome) -> float:
     return float(max(apart, np.abs(a.directors - b.directors).max()))
 
 
-def pass_time(engine: Engine, duration: float) -> None:
+def pass_time(engine: Simulation, duration: float) -> None:
     """Advance a scene without muscles by the whole steps within `duration` [s].
 
     Raises

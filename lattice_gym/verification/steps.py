@@ -19,8 +19,8 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine
-from lattice_gym.engines.registry import EngineName, make_engine
+from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import Clamp, PointTorque, RodModel
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.stable_step import stable_dt
@@ -126,7 +126,7 @@ def ringing_bar(rate: float, share: float) -> Scene:
     interval = 3.0 * LENGTH / SPEED / n_sample
     dt = interval / int(np.ceil(interval / (share * stable_dt(model))))
 
-    def observe(engine: Engine) -> Reading:
+    def observe(engine: Simulation) -> Reading:
         times, measured = interval * np.arange(1, n_sample + 1), []
         for _ in times:
             pass_time(engine, interval)
@@ -145,7 +145,7 @@ def _bar_errors(build: Callable[[float], Scene], sizes: Sequence[float], engine:
     """Errors of the scenes that `build` makes of the `sizes` of their steps."""
     scenes, errors = [build(size) for size in sizes], []
     for scene in scenes:
-        made = make_engine(engine, scene.model, scene.dt, how)
+        made = simulate(engine, scene.model, scene.dt, how)
         made.restore(scene.start)
         errors.append(scene.observe(made).error)
     return Errors(tuple(scene.dt for scene in scenes), tuple(errors))
@@ -179,7 +179,7 @@ def _spinning_rod(damped: bool) -> tuple[RodModel, RodState]:
 def _spinning_end(engine: EngineName, splitting: Splitting, damped: bool, steps: int) -> RodState:
     """State after SPINNING_TIME."""
     model, start = _spinning_rod(damped)
-    made = make_engine(engine, model, SPINNING_TIME / steps, splitting)
+    made = simulate(engine, model, SPINNING_TIME / steps, splitting)
     made.restore(start)
     pass_time(made, SPINNING_TIME)
     return made.state
@@ -219,7 +219,7 @@ def _lattice(damped: bool) -> RodModel:
 def _lattice_end(engine: EngineName, splitting: Splitting, damped: bool, steps: int) -> FloatArray:
     """Node positions after LATTICE_TIME under LATTICE_TENSION in every muscle [m]."""
     model = _lattice(damped)
-    made = make_engine(engine, model, LATTICE_TIME / steps, splitting)
+    made = simulate(engine, model, LATTICE_TIME / steps, splitting)
     health = made.advance(np.full(model.n_muscle, LATTICE_TENSION), steps)
     if not health.ok:
         raise RuntimeError(f"lattice diverged: {health}")

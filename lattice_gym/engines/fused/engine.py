@@ -1,15 +1,17 @@
-"""The fused engine of one assembly."""
+"""The fused engine: for now a loop over assemblies."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray
-from lattice_gym.engines.base import Engine, Health, Status
+from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.engines.base import Engine
 from lattice_gym.engines.fused import kernels
 from lattice_gym.engines.fused.pack import Pack, _aligned, node_decay
+from lattice_gym.engines.health import Health, Status
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
 from lattice_gym.physics.laws import contact
@@ -24,13 +26,11 @@ _LISTED = 16
 """Pairs for which there is room between calls, per element; where more are listed every call lists anew."""
 
 
-class FusedEngine(Engine):
+class FusedAssembly:
     """All rods of equal element count side by side in lanes; see `kernels`."""
 
-    def __init__(
-        self, model: RodModel, dt: float, splitting: Splitting = "pyelastica", energy_check: bool = False
-    ) -> None:
-        super().__init__(model, dt, energy_check)
+    def __init__(self, model: RodModel, dt: float, splitting: Splitting, energy_check: bool) -> None:
+        self.model, self.dt = model, dt
         self._splitting = splitting
         self._pack = Pack([model], self.dt, splitting)
         self._cells = self._pack.cells
@@ -108,7 +108,8 @@ class FusedEngine(Engine):
         place, speed, spin = np.stack([ball.place, ball.speed, ball.spin])[:, None]
         return replace(state, bolus_position=place, bolus_velocity=speed, bolus_omega=spin)
 
-    def _restore(self, state: RodState) -> None:
+    def restore(self, state: RodState) -> None:
+        """Take over a state."""
         self._pack.restore(0, state)
         if self._ball is not None:
             self._ball.place[:], self._ball.speed[:] = state.bolus_position[0], state.bolus_velocity[0]
@@ -117,7 +118,10 @@ class FusedEngine(Engine):
             # Where a run diverged before, nothing could tell how far nodes have gone since.
             self._contact.listed[:] = np.inf
 
-    def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:
+    def advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:
+        """Advance with tensions from `start` to `end` [N], shape (n_muscle,)."""
+        if self._account is not None:
+            self._account.total[:] = 0.0
         self._pack.advance(start[None], end[None], n_substeps, self._ball, self._contact, self._account)
         health, ball = self._pack.health(0), self._ball
         if not health.ok or ball is None:
@@ -125,9 +129,49 @@ class FusedEngine(Engine):
         sound = np.isfinite([ball.place, ball.speed, ball.spin]).all()
         return health if sound else Health(Status.NON_FINITE)
 
-    def _flow(self) -> Flow:
-        """Return what the account holds, and empty it."""
+    def flow(self) -> Flow:
+        """Return what the account holds."""
         assert self._account is not None
-        muscle_work, load_work, dissipated = self._account.total.tolist()
-        self._account.total[:] = 0.0
-        return Flow(muscle_work, load_work, dissipated)
+        return Flow(*self._account.total.tolist())
+
+
+class FusedEngine(Engine):
+    """Assemblies one after another; the laned engine takes its place."""
+
+    def __init__(
+        self,
+        models: Sequence[RodModel],
+        dt: float,
+        splitting: Splitting = "pyelastica",
+        *,
+        energy_check: bool = False,
+        step_check: bool = False,
+        num_threads: int | None = None,
+    ) -> None:
+        super().__init__(
+            models, dt, splitting, energy_check=energy_check, step_check=step_check, num_threads=num_threads
+        )
+        self._worms = [FusedAssembly(model, self.dt, splitting, energy_check) for model in self.models]
+        self._ends = [Health()] * self.n_worm
+
+    def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> IntArray:
+        for worm, one in enumerate(self._worms):
+            self._ends[worm] = one.advance(start[worm], end[worm], n_substeps)
+            if self._ends[worm].ok:
+                self._show(worm, one.state)
+        return np.array([health.status for health in self._ends], np.int64)
+
+    def _health(self, worm: int) -> Health:
+        return self._ends[worm]
+
+    def _state(self, worm: int) -> RodState:
+        return self._worms[worm].state
+
+    def _restore(self, worm: int, state: RodState) -> None:
+        self._worms[worm].restore(state)
+
+    def _replace(self, worm: int, model: RodModel) -> None:
+        self._worms[worm] = FusedAssembly(model, self.dt, self.splitting, self.energy_check)
+
+    def _flow(self, worm: int) -> Flow:
+        return self._worms[worm].flow()

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.checks import FloatArray, IntArray
-from lattice_gym.engines.base import Health, Status, joint_reach, overstretched, torn
 from lattice_gym.engines.fused import kernels
+from lattice_gym.engines.health import Health, Status, joint_gap_limits, overstretched, torn
 from lattice_gym.physics.assembly import Joint, Line, RodModel
 from lattice_gym.physics.laws.damping import Splitting, damping_shares
 from lattice_gym.physics.laws.hill import Hill
@@ -252,7 +252,7 @@ class Pack:
                 cells["couple"][cell, :, lane] += load.torque
         own = slice(worm * len(model.joints), (worm + 1) * len(model.joints))
         self.joints.stiffness[own] = [joint.stiffness for joint in model.joints]
-        self.worms.reach[worm] = joint_reach(model)
+        self.worms.reach[worm] = joint_gap_limits(model)
         if self.joint_damping is not None:
             self.joint_damping[own] = [joint.damping for joint in model.joints]
         if self.lines is not None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -28,10 +29,12 @@ from elastica.timestepper.symplectic_steppers import PositionVerlet
 from elastica.typing import ConnectionIndex, RigidBodyType, RodType
 
 from lattice_gym.checks import FloatArray, IntArray
-from lattice_gym.engines.base import Engine, Health, Status, joint_reach, overstretched, torn
+from lattice_gym.engines.base import Engine
+from lattice_gym.engines.health import Health, Status, joint_gap_limits, overstretched, torn
 from lattice_gym.physics.assembly import Ball, RodModel
 from lattice_gym.physics.energy import Flow
 from lattice_gym.physics.laws import contact
+from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.hill import Hill
 from lattice_gym.physics.rod import MAX_DILATATION, MIN_DILATATION, Rod
 from lattice_gym.physics.state import RodState
@@ -446,11 +449,11 @@ def _make_rod(rod: Rod) -> CosseratRod:
     return made
 
 
-class PyElasticaEngine(Engine):
-    """PyElastica 1.0.0 behind the engine interface."""
+class Assembly:
+    """One assembly in PyElastica 1.0.0."""
 
     def __init__(self, model: RodModel, dt: float, energy_check: bool = False) -> None:
-        super().__init__(model, dt, energy_check)
+        self.model, self.dt, self._energy_check = model, dt, energy_check
         self._rods = [_make_rod(rod) for rod in model.rods]
         for index, rod in enumerate(self._rods):
             rod.mass[:] = model.node_mass[model.nodes(index)]
@@ -463,7 +466,7 @@ class PyElasticaEngine(Engine):
         self._acting = np.zeros(self._n_pulled + len(model.lines))
         self._stepper = PositionVerlet()
         self._simulator = self._assemble()
-        self._reach = joint_reach(model)
+        self._reach = joint_gap_limits(model)
         self._gone = np.zeros(3)
         self._time = 0.0
 
@@ -588,7 +591,8 @@ class PyElasticaEngine(Engine):
             f"bolus_{name}": of.T.copy() for name, of in zip(("position", "velocity", "omega"), moving, strict=True)
         }
 
-    def _restore(self, state: RodState) -> None:
+    def restore(self, state: RodState) -> None:
+        """Take over a state."""
         for index, rod in enumerate(self._rods):
             nodes, elements = self.model.nodes(index), self.model.elements(index)
             rod.position_collection[:] = state.position[nodes].T
@@ -603,12 +607,14 @@ class PyElasticaEngine(Engine):
             _clear(ball)
         self._time = state.time
 
-    def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:
+    def advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> Health:
+        """Advance with tensions from `start` to `end` [N], shape (n_muscle,)."""
+        self._gone[:] = 0.0
         # A state that blows up overflows on its way; the health check names it, numpy need not.
         with np.errstate(all="ignore"):
             for step in range(n_substeps):
                 self._tension[:, 0] = start + (end - start) * ((step + 0.5) / n_substeps)
-                before = None if self._meter is None else (self._muscle_length(), self.state)
+                before = None if not self._energy_check else (self._muscle_length(), self.state)
                 self._stepper.step(self._simulator, self._time, self.dt)
                 self._time += self.dt
                 if before is not None:
@@ -627,10 +633,9 @@ class PyElasticaEngine(Engine):
         ball.omega_collection[:, 0] = frame.T @ ball.omega_collection[:, 0]
         ball.director_collection[..., 0] = np.eye(3)
 
-    def _flow(self) -> Flow:
-        flow = Flow(*self._gone.tolist())
-        self._gone[:] = 0.0
-        return flow
+    def flow(self) -> Flow:
+        """Energy that entered and left in the last call."""
+        return Flow(*self._gone.tolist())
 
     def _muscle_length(self) -> FloatArray:
         """Length of every element of a muscle, then of every line, as their nodes stand [m], as `_acting`."""
@@ -719,3 +724,47 @@ class PyElasticaEngine(Engine):
                 return overstretched(self.model, k)
         lost = any(not np.isfinite(value).all() for value in self._ball_state().values())
         return Health(Status.NON_FINITE if lost else Status.OK)
+
+
+class PyElasticaEngine(Engine):
+    """Assemblies in PyElastica 1.0.0, one after another."""
+
+    def __init__(
+        self,
+        models: Sequence[RodModel],
+        dt: float,
+        splitting: Splitting = "pyelastica",
+        *,
+        energy_check: bool = False,
+        step_check: bool = False,
+        num_threads: int | None = None,
+    ) -> None:
+        super().__init__(
+            models, dt, splitting, energy_check=energy_check, step_check=step_check, num_threads=num_threads
+        )
+        if splitting != "pyelastica":
+            raise ValueError(f"splitting = {splitting!r}: the pyelastica engine damps as PyElastica does; take fused")
+        self._worms = [Assembly(model, self.dt, energy_check) for model in self.models]
+        self._ends = [Health()] * self.n_worm
+
+    def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> IntArray:
+        for worm, one in enumerate(self._worms):
+            self._ends[worm] = one.advance(start[worm], end[worm], n_substeps)
+            if self._ends[worm].ok:
+                self._show(worm, one.state)
+        return np.array([health.status for health in self._ends], np.int64)
+
+    def _health(self, worm: int) -> Health:
+        return self._ends[worm]
+
+    def _state(self, worm: int) -> RodState:
+        return self._worms[worm].state
+
+    def _restore(self, worm: int, state: RodState) -> None:
+        self._worms[worm].restore(state)
+
+    def _replace(self, worm: int, model: RodModel) -> None:
+        self._worms[worm] = Assembly(model, self.dt, self.energy_check)
+
+    def _flow(self, worm: int) -> Flow:
+        return self._worms[worm].flow()

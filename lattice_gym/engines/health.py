@@ -1,0 +1,88 @@
+"""How a call to an engine ends: statuses, where a failure shows, and the bounds both engines judge by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from lattice_gym.checks import FloatArray
+from lattice_gym.physics.assembly import RodModel
+
+
+class Status(IntEnum):
+    """How a call to `Engine.advance` ended.
+
+    NON_FINITE: a position, velocity or director is NaN or infinite. OVERSTRETCHED: an element or a line is shorter than
+    `MIN_DILATATION` or longer than `MAX_DILATATION` times its rest length. INVERTED: an element points against its d3.
+    TORN: two joined nodes are further apart than `joint_gap_limits` allows. ENERGY: there is more spurious energy than
+    the ledger tolerates, see `energy.ENERGY_TOLERANCE`; looked for only with the energy check. INACCURATE: a run at
+    half the step, taken along since the state was last set, is further away than `STEP_TOLERANCE`, or failed itself;
+    looked for only with the step check.
+    """
+
+    OK = 0
+    NON_FINITE = 1
+    OVERSTRETCHED = 2
+    INVERTED = 3
+    TORN = 4
+    ENERGY = 5
+    INACCURATE = 6
+
+
+@dataclass(frozen=True)
+class Health:
+    """Status, and where it shows: rod and element, and the joint where one is torn (-1 where there is none).
+
+    A failure without a rod is the ball's.
+    """
+
+    status: Status = Status.OK
+    rod: int = -1
+    element: int = -1
+    joint: int = -1
+
+    @property
+    def ok(self) -> bool:
+        """True while the state can be trusted to be a state at all."""
+        return self.status is Status.OK
+
+    def __str__(self) -> str:
+        if self.ok:
+            return "ok"
+        if self.rod < 0:
+            return f"{self.status.name.lower()} (ball)"
+        joint = f", joint {self.joint}" if self.joint >= 0 else ""
+        return f"{self.status.name.lower()} (rod {self.rod}, element {self.element}{joint})"
+
+
+def joint_gap_limits(model: RodModel) -> FloatArray:
+    """Gap beyond which each joint counts as torn [m], shape (n_joint,): its gap at rest and the radii of both rods.
+
+    Two rods that lie further apart than that have come off each other.
+    """
+    limits = np.zeros(len(model.joints))
+    for k, joint in enumerate(model.joints):
+        a, b = model.rods[joint.rod_a], model.rods[joint.rod_b]
+        gap = float(np.linalg.norm(a.position[joint.node_a] - b.position[joint.node_b]))
+        radii = (rod.radius[min(node, rod.n_elem - 1)] for rod, node in ((a, joint.node_a), (b, joint.node_b)))
+        limits[k] = gap + float(sum(radii))
+    return limits
+
+
+def torn(model: RodModel, joint: int) -> Health:
+    """Health that names a torn joint, by its first rod and the element at its node there."""
+    tie = model.joints[joint]
+    return Health(Status.TORN, tie.rod_a, element_at(model, tie.rod_a, tie.node_a), joint)
+
+
+def overstretched(model: RodModel, line: int) -> Health:
+    """Health that names the rod and element at the first end of an over-stretched line."""
+    tie = model.lines[line]
+    return Health(Status.OVERSTRETCHED, tie.rod_a, element_at(model, tie.rod_a, tie.node_a))
+
+
+def element_at(model: RodModel, rod: int, node: int) -> int:
+    """Element that begins at a node, or the last one."""
+    return min(node, model.rods[rod].n_elem - 1)
