@@ -13,6 +13,7 @@ from lattice_gym.body.muscles import Muscle, MuscleLayout, horizontal, named_lay
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.goal import LatticeWormGoalEnv, LatticeWormGoalVectorEnv
 from lattice_gym.envs.registration import register_builtin_tasks, register_task
+from lattice_gym.envs.terms import ObservationTerm
 from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.physics.laws.adaptation import Adaptation
 from lattice_gym.physics.laws.hill import Hill
@@ -39,6 +40,7 @@ __all__ = [
     "Medium",
     "Muscle",
     "MuscleLayout",
+    "ObservationTerm",
     "RewardTerm",
     "Task",
     "World",

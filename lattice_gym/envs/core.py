@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -19,12 +20,14 @@ from lattice_gym.envs.scene import Scene
 from lattice_gym.physics.laws.activation import followed
 from lattice_gym.physics.measures import muscle_strain
 from lattice_gym.physics.state import Motion, RodState
-from lattice_gym.tasks.base import DIVERGENCE
+from lattice_gym.tasks.base import DIVERGENCE, EFFORT, Task
 
 Mask = npt.NDArray[np.bool_]
 """One bool a worm, shape (n_worm,)."""
 
 OK = str(Health())
+ROUNDING = 1e-9
+"""Share by which a sum of terms that reach their bounds may be above the sum of these."""
 
 
 class Step(NamedTuple):
@@ -99,6 +102,7 @@ class Worms:
         self._pull = None if scene.randomisation is None else np.ones((n_worm, n_muscle))
         self._left = [math.exp(-scene.control_dt / time) for time in (design.rise_time, design.decay_time)]
         self.observer = Observer(scene, self.task)
+        self._most, self._warned = _largest_reward(self.task), False
 
     @property
     def activation(self) -> FloatArray:
@@ -220,7 +224,9 @@ class Worms:
             used = scene.adaptation.used(self._use, active, tension.mean(axis=0), strain, scene.control_dt)
             self._use = self._use.where(sound, used)
         terms, over = self._scored(None if whole else sound, live), self.task.over(self.motion)
-        return Step(terms, np.asarray(sum(terms.values())), over if whole else live & (~sound | over))
+        reward: FloatArray = np.asarray(sum(terms.values()))
+        self._watch(reward if whole else reward[sound])
+        return Step(terms, reward, over if whole else live & (~sound | over))
 
     def close(self) -> None:
         """End the engine's threads; a later step would begin new ones."""
@@ -284,6 +290,25 @@ class Worms:
                 values[lost] = 0.0
             terms[DIVERGENCE][self.failed & live] = -self.task.penalty
         return terms
+
+    def _watch(self, reward: FloatArray) -> None:
+        """Warn once of rewards beyond what the task declares, as the price of a divergence counts with that."""
+        worst = max(map(abs, reward.tolist()), default=0.0)
+        if worst <= self._most or self._warned:
+            return
+        self._warned = True
+        warnings.warn(
+            f"{self.task.name}: a reward of size {worst:g} in one control step, beyond the {self._most:g} that its "
+            f"`rewards` declare; a divergence, which costs {self.task.penalty:g}, may pay more than a sound episode: "
+            "widen the ranges of its reward terms",
+            stacklevel=4,
+        )
+
+
+def _largest_reward(task: Task) -> float:
+    """Largest size of a reward in one control step, by the ranges that the task declares, and to rounding."""
+    own = math.fsum(term.span(1, task.weights[name]) for name, term in task.rewards.items())
+    return (own + abs(task.weights[EFFORT])) * (1.0 + ROUNDING)
 
 
 def _read_only(array: FloatArray) -> FloatArray:

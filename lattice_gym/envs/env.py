@@ -69,22 +69,32 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     ## Observation space
 
-    `Box(float32)`, flat, with finite bounds. In this order:
+    `Box(float32)`, flat, with finite bounds: the terms that `observation` lists, in that order, by default
+    ["sites", "activation", "command"], then "clock" with a `rhythm` and "strength" with an observed `adaptation`.
+    `observation_slices` tells where each stands.
 
-    | part | count | unit | bound |
-    |---|---|---|---|
-    | displacement from rest of each point (x, y, z) | 3 n_point | 0.2 height | +-20 |
-    | velocity of each point (x, y, z) | 3 n_point | height / s | +-20 |
-    | activation of each control group: its muscles share one | n_action | 1 | 0 to 1 |
-    | what the task commands, see below | 0 to 7 | | |
-    | with `rhythm`: cosine and sine of a clock that starts with the episode | 2 | 1 | +-1 |
-    | with an observed `adaptation`: strength of each muscle | n_muscle | that of the design | 0 to its cap |
+    | term | what it is | count | unit | bound |
+    |---|---|---|---|---|
+    | "sites" | displacement from rest of each site (x, y, z), then velocity of each | 6 n_point | see below | +-20 |
+    | "nodes" | the same of each node of the structure rods | 6 n_point | see below | +-20 |
+    | "activation" | of each control group: its muscles share one | n_action | 1 | 0 to 1 |
+    | "command" | what the task commands, see below | 0 to 7 | | |
+    | "clock" | cosine and sine of a clock that starts with the episode; needs `rhythm` | 2 | 1 | +-1 |
+    | "strength" | of each muscle; needs `adaptation` | n_muscle | that of the design | 0 to its cap |
+    | "muscle_lengths" | of each muscle | n_muscle | rest length | 0 to 5 |
+    | "muscle_rates" | how fast each muscle grows longer | n_muscle | rest length / s | +-20 |
+    | "ring_radii" | mean radius of the ring at each level | n_level | that at rest | 0 to 10 |
+    | "body_frame" | of the top: centre from the base's, unit normal, velocity | 9 | height, 1, height / s | 20, 1, 20 |
+    | | of a free base, before it: centre from the start, unit normal, velocity | 9 | the same | the same |
+    | "ground_contact" | 1 for a site that touches the ground, else 0; needs one | n_site | 1 | 0 to 1 |
+    | "previous_action" | as clipped, 0 at the start | n_action | 1 | 0 to 1 |
+    | "module:Class" | an `ObservationTerm` of your own; the class itself is taken too | its own | its own | its own |
 
-    Points are the sites ("sites", each the mean of its two nodes) or all nodes of the structure rods ("nodes"), without
-    those that the base holds in place: 48 sites or 480 nodes in the default design. Displacements and velocities beyond
-    their bound are clipped to it and counted in `info["clipped_observations"]`; in the default design none come near.
-    Of a worm that crawls, displacements in x and y are less their mean over the points. A ball is observed in transport
-    only, and its spin never.
+    Points are the sites (each the mean of its two nodes) or the nodes, without those that the base holds in place: 48
+    or 480 in the default design. Displacements are in units of 0.2 height, velocities of heights a second. What lies
+    beyond its bound is clipped to it and counted in `info["clipped_observations"]`; of sites and nodes of the default
+    design none come near. Of a worm that crawls, displacements in x and y are less their mean over the points. A ball
+    is observed in transport only, and its spin never. `docs/observations.md` has sizes and an example of a term.
 
     | task | what it commands | bound |
     |---|---|---|
@@ -100,7 +110,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | transport | velocity of the ball (x, y, z) / (height / s), clipped to the bound | +-10 |
 
     `LatticeWormGoalEnv` (id `LatticeWormReachGoal-v0`) observes goals apart, for hindsight replay. Many worms at once:
-    `vector_env.LatticeWormVectorEnv`, which `gymnasium.make_vec` makes.
+    `LatticeWormVectorEnv`, which `gymnasium.make_vec` makes. `worms` holds what either has and a wrapper may want:
+    `motion`, `measures` (lengths, radii, centres and more), `activation`, `strength`, `previous_action`, `time`,
+    `task`, `state()` and `status()`, a row a worm; see `Worms`.
 
     ## Rewards
 
@@ -216,11 +228,13 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     engine. `python -m lattice_gym.benchmarks work-precision` measured all of it, on the default design.
 
     Train on "fast", which is three times cheaper than "default", and measure what is to be reported on "default" or
-    "fine": sites, and so observations, are the same on all. With `observation="nodes"` they are not. A mesh that a
+    "fine": sites, and so observations, are the same on all. With "nodes" observed they are not. A mesh that a
     fidelity sets has the damping per length of the design's own.
 
     Arguments
     ---------
+    Only `task` and `design` may be given without their names. Where None is all there is to say, it is the default.
+
     task
         "extension", "compression", "bending", "peristalsis", "reach", "crawl" or "transport"; or a `Task` of your own:
         the class, or "module:Class", which a spec as JSON can hold too. An id keeps its time limit whatever the task:
@@ -231,32 +245,33 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     muscles
         "extension", "compression", "bending", "all", a MuscleLayout or its dict form; None: the task's own.
     control
-        How actions drive muscles, see above.
+        How actions drive muscles, see above; "muscle" by default.
     rhythm
         Frequency of the observed clock [Hz], at most half the control rate; None: no clock.
     fidelity
-        "fast", "default" or "fine": mesh and damping, see above.
+        "fast", "default" (by default) or "fine": mesh and damping, see above.
     splitting
         When velocities are damped: "symmetric", all along the kick (second order in `dt`, fused engine only), or
         "pyelastica", all of it after (first order); None: as the fidelity says, or as the pyelastica engine must.
     engine
-        "fused" or "pyelastica".
+        "fused" (by default) or "pyelastica".
     dt
         Physics time step [s], a whole fraction of `control_dt`; None: the largest one below `stability.DT_MARGIN` of
         the predicted stable step.
     allow_large_dt
-        Take a `dt` above the predicted stable step.
+        Take a `dt` above the predicted stable step; False by default.
     energy_check
-        Draw up the energy ledger of every control step and end an episode where energy came from nowhere. The law of
-        rods that are sheared and stretched at once is no potential's: a violent snap may be flagged at any step.
+        Draw up the energy ledger of every control step, and end an episode with spurious energy; False by default. The
+        law of rods that are sheared and stretched at once is no potential's: a violent snap may be flagged at any step.
     step_check
-        Take a run at half the step along and end an episode where it leads elsewhere, by more than
-        `step_doubling.STEP_TOLERANCE` of the longest side: the one check that also catches a run which goes astray
-        smoothly, as near a snap. Three times the computing. A pickled environment begins the comparison anew.
+        Take a run at half the step along, and end an episode where it leads elsewhere, by more than
+        `step_doubling.STEP_TOLERANCE` of the longest side; False by default. The one check that also catches a run
+        which goes astray smoothly, as near a snap. Three times the computing. A pickled environment begins the
+        comparison anew.
     control_dt
-        Time between actions [s].
+        Time between actions [s]; 0.05 by default.
     observation
-        "sites" or "nodes".
+        List of terms, see above; None: the default ones.
     command
         Commanded numbers, by name, to hold in every episode, or lists to draw one from for each.
     world
@@ -283,10 +298,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         start from the state at rest of the design itself, which after settling another body leaves slowly. Nothing of
         it is observed. None: every worm is as designed.
 
-    An argument that cannot be used is a ValueError that names it. With dict forms, and with objects too, an EnvSpec
-    survives JSON and makes an equal environment. NumPy numbers and arrays are taken too, but JSON knows only plain
-    ones: where a spec is to be written, give `.item()` or `.tolist()` of them. Pickles and deep copies go on exactly
-    where the original stood.
+    An argument that cannot be used is a ValueError that names it. With dict forms, and with objects too (but not with
+    classes), an EnvSpec survives JSON and makes an equal environment. NumPy numbers and arrays are taken too, but JSON
+    knows only plain ones: where a spec is to be written, give `.item()` or `.tolist()` of them. Pickles and deep copies
+    go on exactly where the original stood.
 
     Version history
     ---------------
