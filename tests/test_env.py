@@ -8,11 +8,11 @@ import pickle
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -30,6 +30,7 @@ from lattice_gym.benchmarks.divergence import plan
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
+from lattice_gym.checks import FloatArray
 from lattice_gym.engines.health import Health, Status
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.envs.env import LatticeWormEnv
@@ -38,13 +39,15 @@ from lattice_gym.envs.goal import LatticeWormGoalEnv
 from lattice_gym.envs.scene import resolve_world
 from lattice_gym.envs.settling import QUIET
 from lattice_gym.envs.terms import MOTION_BOUND
-from lattice_gym.physics.laws.activation import advance_activation
+from lattice_gym.envs.vector import LatticeWormVectorEnv
+from lattice_gym.physics.laws.activation import Activation, FirstOrder, Thelen, Twitch, advance_activation
 from lattice_gym.physics.measures import muscle_lengths, site_positions
 from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.state import Motion
 from lattice_gym.physics.world import Bolus, Ground, Medium, World
 from lattice_gym.recording.trajectory import Recorder
-from lattice_gym.tasks.base import EFFORT_WEIGHT, LEAST_PENALTY
+from lattice_gym.tasks.axial import AxialTask
+from lattice_gym.tasks.base import EFFORT_WEIGHT, LEAST_PENALTY, RewardTerm
 from lattice_gym.tasks.peristalsis import Peristalsis
 from lattice_gym.tasks.registry import TASKS
 
@@ -63,6 +66,17 @@ SMALL = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 N_SMALL = 21
 """Its muscles."""
 SMALL_WAVE = {"wavelength": 0.1, "speed": 0.1}
+
+
+class Delayed(Activation):
+    """The command of the step before."""
+
+    n_state = 2
+    most: ClassVar[float] = 1.0
+
+    def advance(self, state: FloatArray, command: FloatArray, duration: float) -> FloatArray:
+        """Move on by one command."""
+        return np.stack([self.most * state[1], command])
 
 
 def _env(id: str, **kwargs: Any) -> LatticeWormEnv:
@@ -210,6 +224,62 @@ def test_control(control: Any) -> None:
         env.step(action)
         activation = advance_activation(activation, action[env.groups], 0.05, 0.015, 0.05)
         np.testing.assert_allclose(env.activation, activation, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("activation", "law"),
+    [
+        ("thelen", Thelen()),
+        ({"law": "twitch", "contraction_time": 0.1}, Twitch(contraction_time=0.1)),
+        (FirstOrder(rise_time=0.02), FirstOrder(rise_time=0.02)),
+        ({"law": f"{__name__}:Delayed"}, Delayed()),
+    ],
+)
+def test_activation_laws(activation: Any, law: Activation) -> None:
+    """Each is followed from step to step, and begins anew with an episode; a copy goes on as the original does."""
+    env = LatticeWormEnv("extension", design=SMALL, control="ring", activation=activation)
+    for _ in range(2):
+        env.reset(seed=0)
+        state = law.rest(env.action_space.shape)
+        for seed in range(3):
+            action = np.random.default_rng(seed).random(env.action_space.shape)
+            twin = copy.deepcopy(env)
+            assert _same([env.step(action)], [twin.step(action)])
+            state = law.advance(state, action, 0.05)
+            np.testing.assert_allclose(env.activation, state[0][env.groups], rtol=1e-12)
+
+
+def test_an_activation_out_of_bounds_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a law of one's own gives it; the time step is for muscles that are active at most."""
+    env = LatticeWormEnv("extension", design=SMALL, activation=Delayed())
+    env.reset(seed=0)
+    env.step(np.ones(env.action_space.shape))
+    monkeypatch.setattr(Delayed, "most", 1.5)
+    with pytest.raises(ValueError, match=r"^Delayed.advance: activations must stay from 0 to 1"):
+        env.step(np.ones(env.action_space.shape))
+    with pytest.raises(ValueError, match=r"^activation = 3: must be one of 'first_order'"):
+        LatticeWormEnv("extension", design=SMALL, activation=3)
+
+
+class Humble(AxialTask):
+    """An extension that promises less than it pays."""
+
+    name = "humble"
+    layout = "all"
+    time_limit = 10
+    rewards: ClassVar[Mapping[str, RewardTerm]] = {"strain": RewardTerm(1.0, -1e-6, 1e-6)}
+    sign = 1.0
+
+
+@pytest.mark.parametrize("kind", ["one", "many"])
+def test_a_reward_beyond_what_is_declared_warns_once(kind: str) -> None:
+    """As a divergence may then pay; what the tasks of the package pay never does."""
+    kwargs: dict[str, Any] = {"task": Humble, "design": SMALL, "reward_weights": {"effort": 0.0}}
+    env: Any = LatticeWormEnv(**kwargs) if kind == "one" else LatticeWormVectorEnv(2, **kwargs)
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match=r"^humble: a reward of size .* beyond the 2e-06 that its `rewards` declare"):
+        env.step(np.ones(env.action_space.shape))
+    env.step(np.ones(env.action_space.shape))
 
 
 def test_state_does_not_survive_reset() -> None:

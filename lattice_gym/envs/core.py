@@ -17,7 +17,7 @@ from lattice_gym.envs.measures import Measures
 from lattice_gym.envs.observation import Observation, Observer
 from lattice_gym.envs.randomisation import pull, varied
 from lattice_gym.envs.scene import Scene
-from lattice_gym.physics.laws.activation import followed
+from lattice_gym.physics.laws.activation import ACTIVATIONS
 from lattice_gym.physics.measures import muscle_strain
 from lattice_gym.physics.state import Motion, RodState
 from lattice_gym.tasks.base import DIVERGENCE, EFFORT, Task
@@ -69,8 +69,6 @@ class Worms:
     motion : Motion
         Positions and velocities of nodes and balls, as of each worm's last sound moment. Read-only arrays that change
         with every step: copy what is to be kept.
-    group_activation : array
-        Activation of every control group, in [0, 1], shape (n_worm, n_group).
     previous_action : array
         Commands of the last step, as clipped, 0 at the start of an episode, shape (n_worm, n_group).
     n_step : array
@@ -93,16 +91,22 @@ class Worms:
         self._models, self._num_threads = [scene.model] * n_worm, num_threads
         self._open([scene.start] * n_worm)
         self._kept = [scene.start] * n_worm if keep_state else None
-        self.group_activation = np.zeros((n_worm, scene.n_group))
+        self._activation = scene.activation.rest((n_worm, scene.n_group))
+        self._foreign_law = type(scene.activation) not in ACTIVATIONS.values()
         self.previous_action = np.zeros((n_worm, scene.n_group))
         self.n_step = np.zeros(n_worm, dtype=np.int64)
         self.failed = np.zeros(n_worm, dtype=np.bool_)
-        n_muscle, design = len(scene.groups), scene.design
+        n_muscle = len(scene.groups)
         self._use = None if scene.adaptation is None else scene.adaptation.untrained((n_worm, n_muscle))
         self._pull = None if scene.randomisation is None else np.ones((n_worm, n_muscle))
-        self._left = [math.exp(-scene.control_dt / time) for time in (design.rise_time, design.decay_time)]
         self.observer = Observer(scene, self.task)
         self._most, self._warned = _largest_reward(self.task), False
+
+    @property
+    def group_activation(self) -> FloatArray:
+        """Activation of every control group, in [0, 1], shape (n_worm, n_group)."""
+        activation: FloatArray = self._activation[0]
+        return activation
 
     @property
     def activation(self) -> FloatArray:
@@ -172,7 +176,8 @@ class Worms:
         """
         scene = self.scene
         self.task.begin(generator, options, worm)
-        self.group_activation[worm] = self.previous_action[worm] = 0.0
+        self._activation[:, worm] = scene.activation.rest(scene.n_group)
+        self.previous_action[worm] = 0.0
         self.n_step[worm], self.failed[worm] = 0, False
         info: dict[str, Any] = {"command": self.task.command_of(worm), "status": OK}
         if scene.randomisation is not None and self._pull is not None:
@@ -201,10 +206,13 @@ class Worms:
         live
             Worms that step; None: all. Of the others nothing is asked, and they earn nothing.
         """
-        scene, before = self.scene, self.group_activation
+        scene, before = self.scene, self._activation
         live = np.ones(self.n_worm, dtype=np.bool_) if live is None else live
-        after = followed(before, command, *self._left)
-        tension = scene.design.max_tension * np.array([before, after]).take(scene.groups, axis=-1)
+        after = scene.activation.advance(before, command, scene.control_dt)
+        if self._foreign_law and not ((after[0] >= 0.0) & (after[0] <= 1.0)).all():
+            raise ValueError(f"{type(scene.activation).__name__}.advance: activations must stay from 0 to 1")
+        active = np.array([before[0], after[0]]).take(scene.groups, axis=-1)
+        tension = scene.design.max_tension * active
         by_use = None if self._use is None else self._use.factor
         factors = [factor for factor in (by_use, self._pull) if factor is not None]
         if factors:
@@ -214,14 +222,14 @@ class Worms:
         self.n_step += live
         if whole := bool(sound.all()):
             self.failed[:] = False
-            self.group_activation, self.previous_action = after, command.copy()
+            self._activation, self.previous_action = after, command.copy()
         else:
             self.failed = np.where(live, ~sound, self.failed)
-            self.group_activation = np.where(sound[:, None], after, before)
+            self._activation = np.where(sound[:, None], after, before)
             self.previous_action = np.where(sound[:, None], command, self.previous_action)
         if scene.adaptation is not None and self._use is not None:
-            active, strain = 0.5 * (before + after)[:, scene.groups], muscle_strain(scene.model, self.motion.position)
-            used = scene.adaptation.used(self._use, active, tension.mean(axis=0), strain, scene.control_dt)
+            mean, strain = 0.5 * (active[0] + active[1]), muscle_strain(scene.model, self.motion.position)
+            used = scene.adaptation.used(self._use, mean, tension.mean(axis=0), strain, scene.control_dt)
             self._use = self._use.where(sound, used)
         terms, over = self._scored(None if whole else sound, live), self.task.over(self.motion)
         reward: FloatArray = np.asarray(sum(terms.values()))

@@ -63,9 +63,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     number is a ValueError.
 
     An action is the command u of first-order activation dynamics, da/dt = (u - a) / tau with the design's rise time
-    where u > a and else its decay time, solved exactly over the control step. Within the step both engines take the
-    tension as linear in time, from max_tension times the activation at its start to that at its end. With `hill` the
-    muscle's length and speed then multiply it, in every element and physics step; with `adaptation` its strength does.
+    where u > a and else its decay time, solved exactly over the control step; `activation` has other laws. Within the
+    step both engines take the tension as linear in time, from max_tension times the activation at its start to that at
+    its end. With `hill` the muscle's length and speed then multiply it, in every element and physics step; with
+    `adaptation` its strength does.
 
     ## Observation space
 
@@ -288,6 +289,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         `adaptation.Adaptation` or its dict form: how use changes the strength of each muscle, updated after every
         control step from its mean activation, its mean tension (before the factors of `hill`) and its strain at the
         end. None: not at all. The default `dt` is that for the largest strength there can be.
+    activation
+        How activations follow commands: None or "first_order" as above; "thelen", whose time constants depend on the
+        activation (Thelen 2003); "twitch", critically damped and of second order; or a dict of "law", such a name, and
+        its times. A law of your own is an `Activation`: the object, or its class as "module:Class".
     hill
         `hill.Hill` or its dict form: how the force of each muscle depends on its length and speed. None: not at all.
     randomise

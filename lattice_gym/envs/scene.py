@@ -15,6 +15,7 @@ from lattice_gym.envs.fidelity import FidelityName, named_fidelity
 from lattice_gym.envs.observation import TermLike, resolve_terms
 from lattice_gym.envs.randomisation import Randomisation
 from lattice_gym.envs.settling import settled
+from lattice_gym.physics.laws.activation import Activation, resolve_activation
 from lattice_gym.physics.laws.adaptation import Adaptation
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.hill import Hill
@@ -60,6 +61,8 @@ class Scene:
         In which episodes start.
     terms : tuple of types
         What is observed, in order.
+    activation : Activation
+        How activations follow commands.
     adaptation, randomisation, rhythm, engine, splitting, energy_check, step_check
         As given, with defaults filled in.
 
@@ -92,6 +95,7 @@ class Scene:
         hill: Hill | Mapping[str, Any] | None = None,
         randomise: Mapping[str, Sequence[float]] | None = None,
         reward_weights: Mapping[str, float] | None = None,
+        activation: Activation | str | Mapping[str, Any] | None = None,
         *,
         goals_apart: bool = False,
     ) -> None:
@@ -109,6 +113,7 @@ class Scene:
         if self.world.lying and self.design.base == "clamped":
             raise ValueError("world: a worm that lies needs a free base (design.base); on a clamped one it stands")
         self.adaptation = Adaptation.resolve("adaptation", adaptation)
+        self.activation = resolve_activation(activation, self.design)
         self.randomisation = Randomisation.resolve(randomise)
         self.terms = resolve_terms(observation, self)
         self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))

@@ -1,21 +1,187 @@
-"""How a muscle follows its command."""
+"""Activation dynamics: how a muscle follows its command.
+
+An activation a, from 0 to 1, follows the command u; the tension of a muscle is proportional to it. These laws act
+between control steps: a command is held, and each gives the exact answer after that time, so that the length of a
+control step changes nothing. A law from outside is a subclass of `Activation`, named "module:Class".
+"""
 
 from __future__ import annotations
 
 import math
+import pkgutil
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import ClassVar
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray, finite_number, real_array, shown
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.checks import Bounds, FloatArray, Part, finite_number, real_array, shown
+
+_TIME = (1e-6, 1e6, "s")
+_NEWTON = 30
+"""Newton's steps at most; from the start that is taken the last bit is reached in under ten."""
+
+
+class Activation(Part, ABC):
+    """How activations follow commands; its parameters are fields within `bounds`, as of any `Part`.
+
+    A state has the shape (n_state, ...), where the activations are state[0] and have the shape of the commands.
+    """
+
+    bounds: ClassVar[Bounds] = {}
+    n_state: ClassVar[int] = 1
+    """Numbers that are the state of one muscle."""
+
+    def rest(self, shape: int | tuple[int, ...]) -> FloatArray:
+        """State of muscles long at rest, shape (n_state, *shape)."""
+        return np.zeros((self.n_state, *np.atleast_1d(shape)))
+
+    @abstractmethod
+    def advance(self, state: FloatArray, command: FloatArray, duration: float) -> FloatArray:
+        """State after a command was held.
+
+        Parameters
+        ----------
+        state
+            State before, shape (n_state, ...); it is left alone.
+        command
+            From 0 to 1, shape (...).
+        duration
+            [s], not negative
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class FirstOrder(Activation):
+    """First-order response with two time constants.
+
+    da/dt = (u - a) / tau, where tau is the rise time while u > a, and else the decay time.
+    """
+
+    bounds: ClassVar[Bounds] = {"rise_time": _TIME, "decay_time": _TIME}
+
+    rise_time: float = 0.015
+    """[s]"""
+    decay_time: float = 0.05
+    """[s]"""
+
+    def advance(self, state: FloatArray, command: FloatArray, duration: float) -> FloatArray:
+        """Follow the command by exponentials."""
+        rising, falling = (math.exp(-duration / time) for time in (self.rise_time, self.decay_time))
+        return followed(state[0], command, rising, falling)[None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thelen(Activation):
+    """First-order response whose time constants depend on the activation (Thelen 2003, J. Biomech. Eng. 125:70).
+
+    da/dt = (u - a) / tau(a, u), with tau = rise_time (0.5 + 1.5 a) while u > a, and else
+    decay_time / (0.5 + 1.5 a): the more active a muscle is, the slower it rises and the faster it falls. The defaults
+    are his for young adults.
+
+    With p = 0.5 + 1.5 a, q = 0.5 + 1.5 u and t in time constants, w = p / q - 1 obeys w exp(w) = w0 exp(w0 - t / q)
+    while it rises; while it falls, p = q / (1 + (q / p0 - 1) exp(-q t)).
+    """
+
+    bounds: ClassVar[Bounds] = {"rise_time": _TIME, "decay_time": _TIME}
+
+    rise_time: float = 0.015
+    """Where the activation is 1/3 [s]."""
+    decay_time: float = 0.05
+    """Where the activation is 1/3 [s]."""
+
+    def advance(self, state: FloatArray, command: FloatArray, duration: float) -> FloatArray:
+        """Solve the equation exactly."""
+        now = state[0]
+        p, q = 0.5 + 1.5 * now, 0.5 + 1.5 * command
+        down = q / (1.0 + (q / p - 1.0) * np.exp(-q * (duration / self.decay_time)))
+        start = np.minimum(p / q - 1.0, 0.0)
+        goal = start * np.exp(start - duration / self.rise_time / q)
+        up = q * (1.0 + _product_log(goal))
+        after = (np.where(command > now, up, down) - 0.5) / 1.5
+        # Rounding shall carry it neither past the command nor back.
+        return np.clip(after, np.minimum(now, command), np.maximum(now, command))[None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Twitch(Activation):
+    """Critically damped second-order response: a short command gives a twitch that peaks after a while.
+
+    T^2 a'' + 2 T a' + a = u, with T the contraction time. The answer to an impulse is the twitch t / T^2 exp(-t / T),
+    which is how motor units are described since Milner-Brown, Stein and Yemm (1973, J. Physiol. 228:285). The state is
+    the activation and its rate [1/s].
+    """
+
+    bounds: ClassVar[Bounds] = {"contraction_time": _TIME}
+    n_state = 2
+
+    contraction_time: float = 0.05
+    """From an impulse to the peak of the twitch [s]."""
+
+    def advance(self, state: FloatArray, command: FloatArray, duration: float) -> FloatArray:
+        """Solve the equation exactly."""
+        time = duration / self.contraction_time
+        left, apart = math.exp(-time), state[0] - command
+        slope = apart + self.contraction_time * state[1]
+        # What follows commands from 0 to 1 stays there but for rounding.
+        activation = np.clip(command + (apart + slope * time) * left, 0.0, 1.0)
+        return np.stack([activation, (state[1] - slope * time / self.contraction_time) * left])
+
+
+ACTIVATIONS: dict[str, type[Activation]] = {"first_order": FirstOrder, "thelen": Thelen, "twitch": Twitch}
+"""Laws by name."""
+
+
+def resolve_activation(given: object, design: LatticeDesign) -> Activation:
+    """Activation law from what a caller gives.
+
+    Parameters
+    ----------
+    given
+        None: first order with the design's times. Else an object; a name of `ACTIVATIONS` or "module:Class"; or a dict
+        of "law", such a string, and the law's own fields. A rise or decay time that is not given is the design's.
+    design
+        Whose `rise_time` and `decay_time` are taken.
+
+    Raises
+    ------
+    ValueError
+        Anything else, or a field out of bounds.
+    """
+    if isinstance(given, Activation):
+        return given
+    values = {"law": "first_order"} if given is None else {"law": given} if isinstance(given, str) else given
+    if not isinstance(values, Mapping) or not isinstance(law := values.get("law"), str):
+        choices = ", ".join(map(repr, ACTIVATIONS))
+        raise ValueError(
+            f"activation = {shown(given)}: must be one of {choices}, 'module:Class', an Activation, None or a dict "
+            "whose 'law' is such a string"
+        )
+    kind = ACTIVATIONS.get(law) or _from_outside(law)
+    own = {field.name for field in fields(kind)}
+    times = {name: getattr(design, name) for name in ("rise_time", "decay_time") if name in own}
+    return kind.from_dict(times | {name: value for name, value in values.items() if name != "law"})
+
+
+def _from_outside(law: str) -> type[Activation]:
+    try:
+        kind = pkgutil.resolve_name(law) if ":" in law else None
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"activation law = {law!r}: cannot be imported: {error}") from error
+    if not (isinstance(kind, type) and issubclass(kind, Activation)):
+        choices = ", ".join(map(repr, ACTIVATIONS))
+        raise ValueError(f"activation law = {law!r}: must be one of {choices} or 'module:Class' of an Activation")
+    return kind
 
 
 def advance_activation(
     activation: FloatArray, command: FloatArray, duration: float, rise_time: float, decay_time: float
 ) -> FloatArray:
-    """Activation after a command was held for a duration [s]: the exact solution of da/dt = (u - a) / tau.
+    """Activation after a command was held for a duration [s], as `FirstOrder` has it, of input that is checked.
 
-    Activation a and command u have one shape, kept. tau is the rise time [s] where u > a, else the decay time [s]
-    (Thelen 2003).
+    Activation and command have one shape, kept.
     """
     for name, value in (("rise_time", rise_time), ("decay_time", decay_time)):
         if (number := finite_number(value)) is None or number <= 0.0:
@@ -33,3 +199,14 @@ def followed(now: FloatArray, towards: FloatArray, rising: float, falling: float
     left = np.where(towards > now, rising, falling)
     # Written from the command, not the activation: so no rounding carries the result past the command.
     return towards + left * (now - towards)
+
+
+def _product_log(value: FloatArray) -> FloatArray:
+    """Solve w exp(w) = value for w from -0.75 to 0, by Newton's method from above the solution (Lambert's W)."""
+    w = np.zeros_like(value)
+    for _ in range(_NEWTON):
+        step = (w - value * np.exp(-w)) / (1.0 + w)
+        w = w - step
+        if not (np.abs(step) > 4e-16).any():
+            break
+    return w
