@@ -16,7 +16,7 @@ from agents.config import InputError
 from agents.environments import make_env
 from agents.evaluation import EVALUATION_SEED, POLICIES, PolicyName, make_policy, play
 from agents.run_folder import Run
-from lattice_gym.envs.env import OK
+from lattice_gym.envs.core import OK
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.recording.files import replacing
 from lattice_gym.recording.trajectory import Recorder, Trajectory

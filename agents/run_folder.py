@@ -34,8 +34,8 @@ from agents.config import InputError, TrainConfig
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import MuscleLayout, resolve_layout
-from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.fidelity import FidelityName
+from lattice_gym.envs.scene import Scene
 from lattice_gym.recording.files import replacing
 from lattice_gym.recording.provenance import PACKAGES, provenance
 
@@ -133,10 +133,19 @@ def env_arguments(
         "rhythm": config.rhythm,
         "engine": config.engine,
         "control_dt": config.control_dt,
-        "observation": config.observation,
+        "observation": _observed(config, further),
         "fidelity": config.fidelity,
         **further,
     }
+
+
+def _observed(config: TrainConfig, further: Mapping[str, Any]) -> list[str] | None:
+    """Terms that are observed; None: those of the environment's own choice, which has sites."""
+    if config.observation == "sites":
+        return None
+    strengths = (further.get("adaptation") or {}).get("observed", False)
+    clock, strength = ["clock"] * (config.rhythm is not None), ["strength"] * bool(strengths)
+    return [config.observation, "activation", "command", *clock, *strength]
 
 
 def requested_arguments(config: TrainConfig) -> dict[str, Any]:
@@ -200,7 +209,7 @@ def read_environment(path: Path) -> dict[str, Any]:
     given = read_json(path)
     if not isinstance(given, dict):
         raise InputError(f"{path}: must hold a JSON object of arguments of LatticeWormEnv by name")
-    taken = set(signature(LatticeWormEnv).parameters) - {"render_mode"}
+    taken = set(signature(Scene).parameters) - {"goals_apart"}
     settings = {field.name for field in fields(TrainConfig)}
     for name in given:
         if name in taken & settings:

@@ -11,9 +11,10 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import Muscle, MuscleLayout, horizontal, named_layout, resolve_layout, tie, vertical
 from lattice_gym.envs.env import LatticeWormEnv
-from lattice_gym.envs.goal import LatticeWormGoalEnv
+from lattice_gym.envs.goal import LatticeWormGoalEnv, LatticeWormGoalVectorEnv
 from lattice_gym.envs.registration import register_builtin_tasks, register_task
-from lattice_gym.envs.vector import LatticeWormGoalVectorEnv, LatticeWormVectorEnv
+from lattice_gym.envs.terms import ObservationTerm
+from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.physics.laws.adaptation import Adaptation
 from lattice_gym.physics.laws.ball import Bolus
 from lattice_gym.physics.laws.contact import Contact
@@ -43,6 +44,7 @@ __all__ = [
     "Medium",
     "Muscle",
     "MuscleLayout",
+    "ObservationTerm",
     "RewardTerm",
     "Task",
     "World",

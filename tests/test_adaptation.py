@@ -115,7 +115,7 @@ def test_strength_is_what_multiplies_the_tension() -> None:
     weak = LatticeWormEnv("extension", design=SMALL, adaptation=half, dt=2e-4)
     for env in (strong, weak):
         env.reset(seed=0)
-    weak._episode.trained = Strength(*np.array([1.0, 0.5, 0.0, 0.0])[:, None, None] * np.ones(weak.model.n_muscle))
+    weak.worms._use = Strength(*np.array([1.0, 0.5, 0.0, 0.0])[:, None, None] * np.ones(weak.model.n_muscle))
     for env in (strong, weak):
         env.step(np.ones(env.action_space.shape))
     np.testing.assert_allclose(strong.state.position, weak.state.position, atol=1e-15)

@@ -336,7 +336,7 @@ def _parts_of(kind: type[Part]) -> st.SearchStrategy[dict[str, Any]]:
 
 _ENV: dict[str, Any] = {
     "task": "bending", "design": SMALL, "muscles": None, "control": "muscle", "rhythm": None, "engine": "fused",
-    "dt": None, "allow_large_dt": False, "control_dt": 0.05, "observation": "sites", "command": None,
+    "dt": None, "allow_large_dt": False, "control_dt": 0.05, "observation": None, "command": None,
     "render_mode": None, "energy_check": False, "world": None, "adaptation": None, "hill": None,
 }  # fmt: skip
 _ENV_VALUES: dict[str, st.SearchStrategy[Any]] = {

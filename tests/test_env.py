@@ -8,11 +8,11 @@ import pickle
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -30,13 +30,17 @@ from lattice_gym.benchmarks.divergence.runs import plan
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
+from lattice_gym.checks import FloatArray
 from lattice_gym.engines.health import Health, Status
 from lattice_gym.engines.registry import EngineName
-from lattice_gym.envs.env import QUIET, LatticeWormEnv, _world
+from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.envs.goal import LatticeWormGoalEnv
-from lattice_gym.envs.observation import OBSERVATION_BOUND
-from lattice_gym.physics.laws.activation import advance_activation
+from lattice_gym.envs.scene import resolve_world
+from lattice_gym.envs.settling import QUIET
+from lattice_gym.envs.terms import MOTION_BOUND
+from lattice_gym.envs.vector import LatticeWormVectorEnv
+from lattice_gym.physics.laws.activation import Activation, FirstOrder, Thelen, Twitch, advance_activation
 from lattice_gym.physics.laws.ball import Bolus
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.medium import Medium
@@ -45,7 +49,8 @@ from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.state import Motion
 from lattice_gym.physics.world import World
 from lattice_gym.recording.trajectory import Recorder
-from lattice_gym.tasks.base import EFFORT_WEIGHT, LEAST_PENALTY
+from lattice_gym.tasks.axial import AxialTask
+from lattice_gym.tasks.base import EFFORT_WEIGHT, LEAST_PENALTY, RewardTerm
 from lattice_gym.tasks.peristalsis import Peristalsis
 from lattice_gym.tasks.registry import TASKS
 
@@ -64,6 +69,17 @@ SMALL = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 N_SMALL = 21
 """Its muscles."""
 SMALL_WAVE = {"wavelength": 0.1, "speed": 0.1}
+
+
+class Delayed(Activation):
+    """The command of the step before."""
+
+    n_state = 2
+    most: ClassVar[float] = 1.0
+
+    def advance(self, state: FloatArray, command: FloatArray, duration: float) -> FloatArray:
+        """Move on by one command."""
+        return np.stack([self.most * state[1], command])
 
 
 def _env(id: str, **kwargs: Any) -> LatticeWormEnv:
@@ -149,17 +165,17 @@ def test_rewards_sum_exactly(id: str) -> None:
 
 
 @pytest.mark.parametrize("id", list(IDS)[1:])
-@pytest.mark.parametrize("observation", ["sites", "nodes"])
-def test_observations(id: str, observation: str) -> None:
+@pytest.mark.parametrize("points", ["sites", "nodes"])
+def test_observations(id: str, points: str) -> None:
     """They share no memory, stay inside their space, and only what is commanded is constant over an episode."""
-    env = _env(id, observation=observation, rhythm=1.3)
+    env = _env(id, observation=[points, "activation", "command", "clock"], rhythm=1.3)
     steps = _episode(env, 30)
     seen = np.array([step[0] for step in steps])
     assert seen.dtype == np.float32
     assert all(step[0] in env.observation_space for step in steps)
     assert not any(np.shares_memory(a[0], b[0]) for a, b in pairwise(steps))
     n_free = {"sites": 54, "nodes": 492} if env.design.base == "free" else {"sites": 48, "nodes": 480}
-    n_moving, n_action = 6 * n_free[observation], env.action_space.shape[0]
+    n_moving, n_action = 6 * n_free[points], env.action_space.shape[0]
     assert seen.shape[1] == n_moving + n_action + len(env.task.bounds) + 2
     constant = np.flatnonzero(np.ptp(seen, axis=0) == 0.0) - n_moving - n_action
     assert constant.tolist() == {"bending": [0, 1], "peristalsis": [2, 3, 4], "crawl": [0], "transport": [0]}.get(
@@ -211,6 +227,62 @@ def test_control(control: Any) -> None:
         env.step(action)
         activation = advance_activation(activation, action[env.groups], 0.05, 0.015, 0.05)
         np.testing.assert_allclose(env.activation, activation, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("activation", "law"),
+    [
+        ("thelen", Thelen()),
+        ({"law": "twitch", "contraction_time": 0.1}, Twitch(contraction_time=0.1)),
+        (FirstOrder(rise_time=0.02), FirstOrder(rise_time=0.02)),
+        ({"law": f"{__name__}:Delayed"}, Delayed()),
+    ],
+)
+def test_activation_laws(activation: Any, law: Activation) -> None:
+    """Each is followed from step to step, and begins anew with an episode; a copy goes on as the original does."""
+    env = LatticeWormEnv("extension", design=SMALL, control="ring", activation=activation)
+    for _ in range(2):
+        env.reset(seed=0)
+        state = law.rest(env.action_space.shape)
+        for seed in range(3):
+            action = np.random.default_rng(seed).random(env.action_space.shape)
+            twin = copy.deepcopy(env)
+            assert _same([env.step(action)], [twin.step(action)])
+            state = law.advance(state, action, 0.05)
+            np.testing.assert_allclose(env.activation, state[0][env.groups], rtol=1e-12)
+
+
+def test_an_activation_out_of_bounds_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a law of one's own gives it; the time step is for muscles that are active at most."""
+    env = LatticeWormEnv("extension", design=SMALL, activation=Delayed())
+    env.reset(seed=0)
+    env.step(np.ones(env.action_space.shape))
+    monkeypatch.setattr(Delayed, "most", 1.5)
+    with pytest.raises(ValueError, match=r"^Delayed.advance: activations must stay from 0 to 1"):
+        env.step(np.ones(env.action_space.shape))
+    with pytest.raises(ValueError, match=r"^activation = 3: must be one of 'first_order'"):
+        LatticeWormEnv("extension", design=SMALL, activation=3)
+
+
+class Humble(AxialTask):
+    """An extension that promises less than it pays."""
+
+    name = "humble"
+    layout = "all"
+    time_limit = 10
+    rewards: ClassVar[Mapping[str, RewardTerm]] = {"strain": RewardTerm(1.0, -1e-6, 1e-6)}
+    sign = 1.0
+
+
+@pytest.mark.parametrize("kind", ["one", "many"])
+def test_a_reward_beyond_what_is_declared_warns_once(kind: str) -> None:
+    """As a divergence may then pay; what the tasks of the package pay never does."""
+    kwargs: dict[str, Any] = {"task": Humble, "design": SMALL, "reward_weights": {"effort": 0.0}}
+    env: Any = LatticeWormEnv(**kwargs) if kind == "one" else LatticeWormVectorEnv(2, **kwargs)
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match=r"^humble: a reward of size .* beyond the 2e-06 that its `rewards` declare"):
+        env.step(np.ones(env.action_space.shape))
+    env.step(np.ones(env.action_space.shape))
 
 
 def test_state_does_not_survive_reset() -> None:
@@ -388,8 +460,8 @@ def test_a_worm_that_crawls_has_settled() -> None:
     np.testing.assert_allclose(env.state.position, start.position, atol=5e-5)
     away = env.state
     away.position[:] += [0.3, -0.1, 0.0]
-    env._state = away
-    observation, _ = env._observe()
+    env.worms.restore(away)
+    observation = env.worms.observe()[0][0]
     np.testing.assert_allclose(observation[: 3 * 54], 0.0, atol=1e-3)
     np.testing.assert_allclose(observation[-2:], [1.0, -1.0], atol=1e-3)
 
@@ -452,11 +524,11 @@ def test_restating_a_world_changes_nothing(task: str) -> None:
     for name, part in own.to_dict().items():
         single = [{field: value} for field, value in part.items()] if isinstance(part, dict) else []
         for stated in (part, *single):
-            assert _world({name: stated}, TASKS[task].world, lattice) == own
-    changed = _world({"medium": {"drag": 0.5}, "bolus": Bolus(friction=0.2)}, TASKS[task].world, lattice)
+            assert resolve_world({name: stated}, TASKS[task].world, lattice) == own
+    changed = resolve_world({"medium": {"drag": 0.5}, "bolus": Bolus(friction=0.2)}, TASKS[task].world, lattice)
     assert own.medium is not None
     assert changed == replace(own, medium=replace(own.medium, drag=0.5), bolus=Bolus(friction=0.2))
-    assert _world({"medium": None, "ground": {}}, TASKS["reach"].world, lattice) == World(ground=Ground())
+    assert resolve_world({"medium": None, "ground": {}}, TASKS["reach"].world, lattice) == World(ground=Ground())
 
 
 @pytest.mark.parametrize(("height", "direction", "held"), [(0.13, 1.0, True), (0.13, -1.0, False), (-0.02, -1.0, True)])
@@ -466,7 +538,7 @@ def test_a_ball_that_has_left_ends_the_episode(height: float, direction: float, 
     env.reset(seed=0)
     state = env.state
     state.bolus_position[0, 2] = height
-    env._engine.restore(state)
+    env.worms.restore(state)
     _, reward, terminated, truncated, info = env.step(np.zeros(15))
     assert (terminated, truncated, info["status"]) == (True, False, "ok")
     assert info["reward_terms"]["lost"] == (0.0 if held else -5.0)
@@ -489,8 +561,9 @@ def test_work_of_muscles(control: str) -> None:
         now = muscle_lengths(env.model, env.state.position)
         work += 0.5 * env.design.max_tension * float((activation + env.activation) @ (length - now))
         length, activation = now, env.activation
-        assert env._engine.ledger is not None
-        booked += env._engine.ledger.muscle_work
+        ledger = env.worms.engine.ledger()
+        assert ledger is not None
+        booked += ledger.muscle_work
     assert work == pytest.approx(booked, rel=0.05)
 
 
@@ -625,7 +698,7 @@ def test_steps_need_a_reset() -> None:
         ({"control_dt": float("inf")}, r"^control_dt = inf"),
         ({"control_dt": 10**400}, r"^control_dt = 1000"),
         ({"control_dt": 0.2}, r"^command: .*4 control steps"),
-        ({"observation": "pixels"}, r"^observation = 'pixels': must be one of sites, nodes"),
+        ({"observation": "pixels"}, r"^observation = 'pixels': must be a list of terms; write \["),
         ({"observation": []}, r"^observation = "),
         ({"task": "crawl", "design": LatticeDesign()}, r"^world: a worm that lies needs a free base"),
         ({"task": "crawl", "design": LatticeDesign(), "world": World()}, r"^design.base = .*must be free"),
@@ -749,17 +822,19 @@ def test_any_engine_failure_is_survived(monkeypatch: pytest.MonkeyPatch) -> None
     env = LatticeWormEnv(design=SMALL, command=SMALL_WAVE)
     env.reset(seed=0)
     env.step(np.ones(N_SMALL))
-    advance, state = env._engine.advance, pickle.dumps(env.state)
+    engine, state = env.worms.engine, pickle.dumps(env.state)
+    advance = engine.advance
 
-    def fail(tension: Any, n_substeps: int) -> Health:
+    def fail(tension: Any, n_substeps: int) -> Any:
         advance(tension, n_substeps)
-        return Health(Status.INVERTED, 4, 2)
+        return np.array([Status.INVERTED])
 
-    monkeypatch.setattr(env._engine, "advance", fail)
+    monkeypatch.setattr(engine, "advance", fail)
+    monkeypatch.setattr(engine, "health", lambda worm=0: Health(Status.INVERTED, 4, 2))
     _, _, terminated, _, info = env.step(np.zeros(N_SMALL))
     assert terminated
     assert info["status"] == "inverted (rod 4, element 2)"
-    assert pickle.dumps(env.state) == state == pickle.dumps(env._engine.state)
+    assert pickle.dumps(env.state) == state == pickle.dumps(engine.state(0))
     assert env.task.caption(env.state) == ""
 
 
@@ -796,14 +871,14 @@ def test_a_copy_keeps_the_step_check(copied: Any) -> None:
     for _ in range(3):
         env.step(np.ones(N_SMALL))
     twin: LatticeWormEnv = copied(env)
-    assert twin._engine.step_error is None
+    assert twin.worms.engine.step_error() is None
     for action in (np.ones(N_SMALL), np.zeros(N_SMALL)):
         assert _same([env.step(action)], [twin.step(action)])
-        assert twin._engine.step_error not in (None, 0.0, env._engine.step_error)
+        assert twin.worms.engine.step_error() not in (None, 0.0, env.worms.engine.step_error())
     for one in (env, twin):
         one.reset(seed=0)
         one.step(np.ones(N_SMALL))
-    assert twin._engine.step_error == env._engine.step_error is not None
+    assert twin.worms.engine.step_error() == env.worms.engine.step_error() is not None
 
 
 def test_time_goes_on_where_physics_fails(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -816,7 +891,7 @@ def test_time_goes_on_where_physics_fails(monkeypatch: pytest.MonkeyPatch) -> No
         assert env.time == pytest.approx(0.05 * step)
         before = observation
         if step == 2:
-            monkeypatch.setattr(env._engine, "advance", lambda tension, n_substeps: Health(Status.NON_FINITE, 0, 0))
+            monkeypatch.setattr(env.worms.engine, "advance", lambda *_: np.array([Status.NON_FINITE]))
         if step < 3:
             observation, _, terminated, _, _ = env.step(np.ones(N_SMALL))
     assert terminated
@@ -834,9 +909,10 @@ def test_far_observations_are_clipped_and_counted() -> None:
     far = env.state
     rods = slice(0, env.lattice.n_rod * env.lattice.n_node)
     far.velocity[rods][~np.isin(np.arange(rods.stop), env.model.node_offset)] = 1e6
-    env._state = far
-    observation, clipped = env._observe()
-    assert clipped == np.count_nonzero(np.abs(observation) == OBSERVATION_BOUND) > 0
+    env.worms.restore(far)
+    seen, clipped = env.worms.observe()
+    observation = seen[0]
+    assert clipped[0] == np.count_nonzero(np.abs(observation) == MOTION_BOUND) > 0
     assert observation in env.observation_space
 
 
@@ -869,7 +945,7 @@ def test_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
     again = pickle.loads(pickle.dumps(env)).render()
     np.testing.assert_allclose(again.astype(float), second.astype(float), atol=2.0)
     drawn: list[str] = []
-    monkeypatch.setattr(env._renderer, "update", lambda *arguments: drawn.append(arguments[3]))
+    monkeypatch.setattr(env._pictures.renderer, "update", lambda *arguments: drawn.append(arguments[3]))
     env.render()
     assert drawn == [env.task.caption(env.state)]
     assert drawn[0].startswith("strain +")

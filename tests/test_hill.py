@@ -229,4 +229,4 @@ def test_in_the_environment() -> None:
         replace(MUSCLES["rod"], hill=2.0)  # type: ignore[arg-type]
     for bad in (1, "fast", {"speed": 1.0}, {"max_speed": 0.0}, {"eccentric": 1.0}, {"curvature": None}):
         with pytest.raises(ValueError, match=r"(?i)hill"):
-            LatticeWormEnv("extension", design=small, hill=bad)  # type: ignore[arg-type]
+            LatticeWormEnv("extension", design=small, hill=bad)

@@ -21,7 +21,8 @@ from hypothesis import strategies as st
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.checks import FloatArray
 from lattice_gym.envs.env import LatticeWormEnv
-from lattice_gym.envs.vector import LatticeWormGoalVectorEnv, LatticeWormVectorEnv
+from lattice_gym.envs.goal import LatticeWormGoalVectorEnv
+from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.tasks.base import LEAST_PENALTY
 from lattice_gym.tasks.registry import TASKS
 
@@ -142,7 +143,11 @@ def test_autoreset_modes(id: str, mode: AutoresetMode) -> None:
 @pytest.mark.parametrize("task", ["bending", "transport", "crawl"])
 def test_anything_at_once(task: str) -> None:
     """In a world, on lines or rods, with Hill's laws, checks and few groups."""
-    living = {"adaptation": {**LIVING, "mode": "episode", "carry": True}, "hill": {"width": 0.5}}
+    living = {
+        "adaptation": {**LIVING, "mode": "episode", "carry": True},
+        "hill": {"width": 0.5},
+        "activation": "twitch",
+    }
     checks = {"energy_check": True, "step_check": True, "design": SMALL} if task == "bending" else {}
     world = {} if task == "crawl" else {"medium": {"drag": 0.01}}
     kwargs = {"fidelity": "fast", "control_dt": 0.02, "control": "column", "world": world, "max_episode_steps": 3}

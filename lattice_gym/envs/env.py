@@ -1,10 +1,9 @@
-"""The Gymnasium environment: it owns the loop from action to observation, reward and end."""
+"""The Gymnasium environment of one worm; its docstring is the specification of all of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -12,49 +11,16 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from lattice_gym.body.design import LatticeDesign
-from lattice_gym.body.lattice import Lattice, build_lattice
-from lattice_gym.body.muscles import MuscleLayout, control_groups, resolve_layout
-from lattice_gym.checks import FloatArray, IntArray, Part, is_number, shown, whole_number
-from lattice_gym.engines.health import Health
-from lattice_gym.engines.registry import ENGINES, EngineName
-from lattice_gym.engines.simulation import Simulation, simulate
-from lattice_gym.envs.episode import Episodes
-from lattice_gym.envs.fidelity import FidelityName, named_fidelity
-from lattice_gym.envs.observation import OBSERVATIONS, Observation, Observer
-from lattice_gym.envs.randomisation import Randomisation, varied
+from lattice_gym.checks import FloatArray, IntArray, shown, whole_number
+from lattice_gym.envs.core import Worms
+from lattice_gym.envs.observation import Observation
+from lattice_gym.envs.pictures import RENDER_MODES, Pictures
 from lattice_gym.envs.registration import warn_of_time_limit
-from lattice_gym.physics.laws.adaptation import Adaptation
-from lattice_gym.physics.laws.damping import Splitting
-from lattice_gym.physics.laws.hill import Hill
-from lattice_gym.physics.stable_step import default_dt, stable_dt
-from lattice_gym.physics.state import Motion, RodState
-from lattice_gym.physics.world import World
-from lattice_gym.physics.worm import build_model
-from lattice_gym.tasks.base import Given, Task
-from lattice_gym.tasks.registry import resolve_task, warn_of_dropped_values
+from lattice_gym.envs.scene import Scene, check_choice
+from lattice_gym.physics.state import RodState
+from lattice_gym.tasks.base import Task
 
-if TYPE_CHECKING:
-    from lattice_gym.rendering.scene import Renderer
-
-
-SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT = 1e-6, 1e3
-"""Bounds of the control step [s]."""
-MAX_SUBSTEPS = 1_000_000
-"""More physics steps than this in one control step are a slip in dt, not a wish."""
-DIVISION_TOLERANCE = 1e-9
-"""A control step is a whole number of physics steps if that many differ from it by no more than this share."""
-SETTLING_SPAN, LONGEST_SETTLING = 0.5, 30.0
-"""How often, while worm and ball settle, it is looked whether they are at rest; when that ends at the latest [s]."""
-SETTLING_DRAG = 0.05
-"""Largest drag of a medium while worm and ball settle [N s/m^2]: more holds up a worm that rolls over, and where all
-comes to rest it is the same."""
-QUIET, AT_REST = 1e-4, 1e-3
-"""Largest speed of a node or ball at which settling ends, and at which an episode may start at all [heights / s].
-
-A crawler that is damped as much as other tasks' worms is, comes down to the second only. In the tasks' own worlds the
-first is reached, and doing nothing then earns less than 0.0001 a step."""
-OK = str(Health())
-METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20.0}
+METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20.0}
 
 
 class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
@@ -97,28 +63,39 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     number is a ValueError.
 
     An action is the command u of first-order activation dynamics, da/dt = (u - a) / tau with the design's rise time
-    where u > a and else its decay time, solved exactly over the control step. Within the step both engines take the
-    tension as linear in time, from max_tension times the activation at its start to that at its end. With `hill` the
-    muscle's length and speed then multiply it, in every element and physics step; with `adaptation` its strength does.
+    where u > a and else its decay time, solved exactly over the control step; `activation` has other laws. Within the
+    step both engines take the tension as linear in time, from max_tension times the activation at its start to that at
+    its end. With `hill` the muscle's length and speed then multiply it, in every element and physics step; with
+    `adaptation` its strength does.
 
     ## Observation space
 
-    `Box(float32)`, flat, with finite bounds. In this order:
+    `Box(float32)`, flat, with finite bounds: the terms that `observation` lists, in that order, by default
+    ["sites", "activation", "command"], then "clock" with a `rhythm` and "strength" with an observed `adaptation`.
+    `observation_slices` tells where each stands.
 
-    | part | count | unit | bound |
-    |---|---|---|---|
-    | displacement from rest of each point (x, y, z) | 3 n_point | 0.2 height | +-20 |
-    | velocity of each point (x, y, z) | 3 n_point | height / s | +-20 |
-    | activation of each control group: its muscles share one | n_action | 1 | 0 to 1 |
-    | what the task commands, see below | 0 to 7 | | |
-    | with `rhythm`: cosine and sine of a clock that starts with the episode | 2 | 1 | +-1 |
-    | with an observed `adaptation`: strength of each muscle | n_muscle | that of the design | 0 to its cap |
+    | term | what it is | count | unit | bound |
+    |---|---|---|---|---|
+    | "sites" | displacement from rest of each site (x, y, z), then velocity of each | 6 n_point | see below | +-20 |
+    | "nodes" | the same of each node of the structure rods | 6 n_point | see below | +-20 |
+    | "activation" | of each control group: its muscles share one | n_action | 1 | 0 to 1 |
+    | "command" | what the task commands, see below | 0 to 7 | | |
+    | "clock" | cosine and sine of a clock that starts with the episode; needs `rhythm` | 2 | 1 | +-1 |
+    | "strength" | of each muscle; needs `adaptation` | n_muscle | that of the design | 0 to its cap |
+    | "muscle_lengths" | of each muscle | n_muscle | rest length | 0 to 5 |
+    | "muscle_rates" | how fast each muscle grows longer | n_muscle | rest length / s | +-20 |
+    | "ring_radii" | mean radius of the ring at each level | n_level | that at rest | 0 to 10 |
+    | "body_frame" | of the top: centre from the base's, unit normal, velocity | 9 | height, 1, height / s | 20, 1, 20 |
+    | | of a free base, before it: centre from the start, unit normal, velocity | 9 | the same | the same |
+    | "ground_contact" | 1 for a site that touches the ground, else 0; needs one | n_site | 1 | 0 to 1 |
+    | "previous_action" | as clipped, 0 at the start | n_action | 1 | 0 to 1 |
+    | "module:Class" | an `ObservationTerm` of your own; the class itself is taken too | its own | its own | its own |
 
-    Points are the sites ("sites", each the mean of its two nodes) or all nodes of the structure rods ("nodes"), without
-    those that the base holds in place: 48 sites or 480 nodes in the default design. Displacements and velocities beyond
-    their bound are clipped to it and counted in `info["clipped_observations"]`; in the default design none come near.
-    Of a worm that crawls, displacements in x and y are less their mean over the points. A ball is observed in transport
-    only, and its spin never.
+    Points are the sites (each the mean of its two nodes) or the nodes, without those that the base holds in place: 48
+    or 480 in the default design. Displacements are in units of 0.2 height, velocities of heights a second. What lies
+    beyond its bound is clipped to it and counted in `info["clipped_observations"]`; of sites and nodes of the default
+    design none come near. Of a worm that crawls, displacements in x and y are less their mean over the points. A ball
+    is observed in transport only, and its spin never. `docs/observations.md` has sizes and an example of a term.
 
     | task | what it commands | bound |
     |---|---|---|
@@ -134,7 +111,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | transport | velocity of the ball (x, y, z) / (height / s), clipped to the bound | +-10 |
 
     `LatticeWormGoalEnv` (id `LatticeWormReachGoal-v0`) observes goals apart, for hindsight replay. Many worms at once:
-    `vector_env.LatticeWormVectorEnv`, which `gymnasium.make_vec` makes.
+    `LatticeWormVectorEnv`, which `gymnasium.make_vec` makes. `worms` holds what either has and a wrapper may want:
+    `motion`, `measures` (lengths, radii, centres and more), `activation`, `strength`, `previous_action`, `time`,
+    `task`, `state()` and `status()`, a row a worm; see `Worms`.
 
     ## Rewards
 
@@ -250,11 +229,13 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     engine. `python -m lattice_gym.benchmarks work-precision` measured all of it, on the default design.
 
     Train on "fast", which is three times cheaper than "default", and measure what is to be reported on "default" or
-    "fine": sites, and so observations, are the same on all. With `observation="nodes"` they are not. A mesh that a
+    "fine": sites, and so observations, are the same on all. With "nodes" observed they are not. A mesh that a
     fidelity sets has the damping per length of the design's own.
 
     Arguments
     ---------
+    Only `task` and `design` may be given without their names. Where None is all there is to say, it is the default.
+
     task
         "extension", "compression", "bending", "peristalsis", "reach", "crawl" or "transport"; or a `Task` of your own:
         the class, or "module:Class", which a spec as JSON can hold too. An id keeps its time limit whatever the task:
@@ -265,32 +246,33 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     muscles
         "extension", "compression", "bending", "all", a MuscleLayout or its dict form; None: the task's own.
     control
-        How actions drive muscles, see above.
+        How actions drive muscles, see above; "muscle" by default.
     rhythm
         Frequency of the observed clock [Hz], at most half the control rate; None: no clock.
     fidelity
-        "fast", "default" or "fine": mesh and damping, see above.
+        "fast", "default" (by default) or "fine": mesh and damping, see above.
     splitting
         When velocities are damped: "symmetric", all along the kick (second order in `dt`, fused engine only), or
         "pyelastica", all of it after (first order); None: as the fidelity says, or as the pyelastica engine must.
     engine
-        "fused" or "pyelastica".
+        "fused" (by default) or "pyelastica".
     dt
         Physics time step [s], a whole fraction of `control_dt`; None: the largest one below `stability.DT_MARGIN` of
         the predicted stable step.
     allow_large_dt
-        Take a `dt` above the predicted stable step.
+        Take a `dt` above the predicted stable step; False by default.
     energy_check
-        Draw up the energy ledger of every control step and end an episode where energy came from nowhere. The law of
-        rods that are sheared and stretched at once is no potential's: a violent snap may be flagged at any step.
+        Draw up the energy ledger of every control step, and end an episode with spurious energy; False by default. The
+        law of rods that are sheared and stretched at once is no potential's: a violent snap may be flagged at any step.
     step_check
-        Take a run at half the step along and end an episode where it leads elsewhere, by more than
-        `step_doubling.STEP_TOLERANCE` of the longest side: the one check that also catches a run which goes astray
-        smoothly, as near a snap. Three times the computing. A pickled environment begins the comparison anew.
+        Take a run at half the step along, and end an episode where it leads elsewhere, by more than
+        `step_doubling.STEP_TOLERANCE` of the longest side; False by default. The one check that also catches a run
+        which goes astray smoothly, as near a snap. Three times the computing. A pickled environment begins the
+        comparison anew.
     control_dt
-        Time between actions [s].
+        Time between actions [s]; 0.05 by default.
     observation
-        "sites" or "nodes".
+        List of terms, see above; None: the default ones.
     command
         Commanded numbers, by name, to hold in every episode, or lists to draw one from for each.
     world
@@ -307,6 +289,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         `adaptation.Adaptation` or its dict form: how use changes the strength of each muscle, updated after every
         control step from its mean activation, its mean tension (before the factors of `hill`) and its strain at the
         end. None: not at all. The default `dt` is that for the largest strength there can be.
+    activation
+        How activations follow commands: None or "first_order" as above; "thelen", whose time constants depend on the
+        activation (Thelen 2003); "twitch", critically damped and of second order; or a dict of "law", such a name, and
+        its times. A law of your own is an `Activation`: the object, or its class as "module:Class".
     hill
         `hill.Hill` or its dict form: how the force of each muscle depends on its length and speed. None: not at all.
     randomise
@@ -317,10 +303,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         start from the state at rest of the design itself, which after settling another body leaves slowly. Nothing of
         it is observed. None: every worm is as designed.
 
-    An argument that cannot be used is a ValueError that names it. With dict forms, and with objects too, an EnvSpec
-    survives JSON and makes an equal environment. NumPy numbers and arrays are taken too, but JSON knows only plain
-    ones: where a spec is to be written, give `.item()` or `.tolist()` of them. Pickles and deep copies go on exactly
-    where the original stood.
+    An argument that cannot be used is a ValueError that names it. With dict forms, and with objects too (but not with
+    classes), an EnvSpec survives JSON and makes an equal environment. NumPy numbers and arrays are taken too, but JSON
+    knows only plain ones: where a spec is to be written, give `.item()` or `.tolist()` of them. Pickles and deep copies
+    go on exactly where the original stood.
 
     Version history
     ---------------
@@ -335,258 +321,98 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def __init__(
         self,
-        task: str | type[Task] = "peristalsis",
+        task: str | type[Task] | None = None,
         design: LatticeDesign | Mapping[str, Any] | None = None,
-        muscles: str | MuscleLayout | Mapping[str, Any] | None = None,
-        control: str | Sequence[int] | IntArray = "muscle",
-        rhythm: float | None = None,
-        fidelity: FidelityName = "default",
-        splitting: Splitting | None = None,
-        engine: EngineName = "fused",
-        dt: float | None = None,
-        allow_large_dt: bool = False,
-        energy_check: bool = False,
-        step_check: bool = False,
-        control_dt: float = 0.05,
-        observation: str = "sites",
-        command: Given | None = None,
-        world: World | Mapping[str, Any] | None = None,
+        *,
         render_mode: str | None = None,
-        adaptation: Adaptation | Mapping[str, Any] | None = None,
-        hill: Hill | Mapping[str, Any] | None = None,
-        randomise: Mapping[str, Sequence[float]] | None = None,
-        reward_weights: Mapping[str, float] | None = None,
+        **arguments: Any,
     ) -> None:
-        kind = resolve_task(task)
-        _check_choice("observation", observation, OBSERVATIONS)
-        _check_choice("engine", engine, tuple(ENGINES))
-        if render_mode is not None:
-            _check_choice("render_mode", render_mode, tuple(METADATA["render_modes"]))
-        self.control_dt = _number("control_dt", control_dt, SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT, "s")
-        self.rhythm = None if rhythm is None else _number("rhythm", rhythm, 0.0, 0.5 / self.control_dt, "Hz")
-        preset = named_fidelity(fidelity)
-        self.design = preset.remesh(_design(design, kind.design))
-        self.lattice = build_lattice(self.design)
-        self.layout = kind.muscles(self.lattice) if muscles is None else resolve_layout(muscles, self.lattice)
-        self.groups = control_groups(control, self.layout, self.lattice)
-        self.world = _world(world, kind.world, self.lattice)
-        if self.world.lying and self.design.base == "clamped":
-            raise ValueError("world: a worm that lies needs a free base (design.base); on a clamped one it stands")
-        self.adaptation = Adaptation.resolve("adaptation", adaptation)
-        self.randomisation = Randomisation.resolve(randomise)
-        self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))
-        self._given: dict[str, Any] = {"command": command, "reward_weights": reward_weights}
-        self.task = kind(self.lattice, self.control_dt, model=self.model, **self._given)
-        if isinstance(design, LatticeDesign):
-            warn_of_dropped_values(design, kind)
-        preferred: Splitting = "pyelastica" if engine == "pyelastica" else preset.splitting
-        self.splitting: Splitting = preferred if splitting is None else splitting
-        self.n_substeps, self.dt = self._substeps(dt, allow_large_dt)
-        self.engine_name = engine
-        self.energy_check, self.step_check = energy_check, step_check
-        self.observation = observation
-        self.render_mode = render_mode
+        self.render_mode = checked_render_mode(render_mode)
+        self.scene = scene = Scene(task, design, goals_apart=self._goals_apart, **arguments)
+        self.worms = Worms(scene, keep_state=True)
+        self.task = self.worms.task
+        self.design, self.lattice, self.layout, self.world = scene.design, scene.lattice, scene.layout, scene.world
+        self.model, self.groups, self.adaptation = scene.model, scene.groups, scene.adaptation
+        self.control_dt, self.dt, self.n_substeps = scene.control_dt, scene.dt, scene.n_substeps
+        self.splitting = scene.splitting
         self.metadata = {**METADATA, "render_fps": 1.0 / self.control_dt}
-        self._renderer: Renderer | None = None
-        self._body = self.model
-        self._engine: Simulation = self._make_engine()
-
-        self.task.rest = self._start = self._settled()
-        self._episode = self._episodes(self.task)
-        self.action_space = spaces.Box(0.0, 1.0, self._episode.activation.shape[1:], np.float32)
-        self.observation_space = self._episode.observer.space
-        self._state = self._start.copy()
+        self.action_space = spaces.Box(0.0, 1.0, (scene.n_group,), np.float32)
+        self.observation_space = self.worms.observer.space
+        self._pictures = Pictures(self.worms)
         self._running = False
 
     @property
-    def state(self) -> RodState:
-        """Copy of the state of all rods."""
-        return self._state.copy()
+    def observation_slices(self) -> dict[str, slice]:
+        """Where each term stands in the (flat) observation, by name."""
+        return dict(self.worms.observer.slices)
 
     @property
-    def start(self) -> RodState:
-        """Copy of the state in which episodes start."""
-        return self._start.copy()
+    def state(self) -> RodState:
+        """Copy of the state of all rods, as of the last sound moment."""
+        return self.worms.state()
 
     @property
     def activation(self) -> FloatArray:
         """Activation of every active muscle now, shape (n_muscle,), in [0, 1]."""
-        activation: FloatArray = self._episode.activation[0, self.groups]
+        activation: FloatArray = self.worms.activation[0]
         return activation
 
     @property
     def strength(self) -> FloatArray:
         """Strength of every active muscle now, over that of the design, shape (n_muscle,)."""
-        strength = self._episode.strength
-        return np.ones(self.model.n_muscle) if strength is None else strength[0]
+        strength: FloatArray = self.worms.strength[0]
+        return strength
 
     @property
     def time(self) -> float:
         """Time since the episode began [s], at the end of the last control step, be it one that failed."""
-        return int(self._episode.n_step[0]) * self.control_dt
+        return float(self.worms.time[0])
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode at rest; options hold commanded numbers, by name, for this episode."""
         super().reset(seed=None if seed is None else seed_of(seed))
-        warn_of_time_limit(self.spec, type(self.task), int(self._episode.n_step[0]))
-        factors = self._episode.begin(self.np_random, options)
-        if factors:
-            self._body = varied(self.model, factors)
-            self._engine = self._make_engine()
-        self._state = self._start.copy()
-        self._engine.restore(self._state)
+        warn_of_time_limit(self.spec, self.scene.task, int(self.worms.n_step[0]))
+        info = self.worms.begin(0, self.np_random, options)
         self._running = True
-        observation, _ = self._observe()
-        told = {"factors": dict(factors)} if factors else {}
-        return observation, {"command": dict(self.task.command), "status": OK} | told | self._strength_info()
+        return self._observe()[0], info
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by `control_dt`."""
         if not self._running:
             raise gymnasium.error.ResetNeeded("reset() must be called first, and again once an episode has terminated")
+        worms = self.worms
         command, n_clipped = clipped_command(action, self.action_space.shape)
-        health = self._engine.advance(self._episode.tension(command[None])[:, 0], self.n_substeps)
-        if health.ok:
-            self._state = self._engine.state
-        else:
-            self._engine.restore(self._state)
-        motion = Motion.of(self._state)
-        scores, over = self._episode.score(motion, np.array([health.ok]))
-        self._running = not over[0]
+        result = worms.step(command[None])
+        over = bool(result.over[0])
+        self._running = not over
         observation, n_beyond = self._observe()
-        if not health.ok:
-            # Not before the last sound moment was observed.
-            self._episode.n_step += 1
-        terms = _first(scores)
         info = {
-            "reward_terms": terms,
-            "outcome": _first(self.task.outcome(motion, np.zeros(1, dtype=np.int64))),
-            "status": str(health),
+            "reward_terms": _first(result.terms),
+            "outcome": _first(worms.outcome()),
+            "status": worms.status(),
             "clipped_actions": int(n_clipped),
             "clipped_observations": n_beyond,
-        } | self._strength_info()
-        return observation, sum(terms.values()), bool(over[0]), False, info
+        }
+        if self.adaptation is not None:
+            info["strength"] = self.strength
+        return observation, float(result.reward[0]), over, False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """Picture of the worm now and of the place it is to reach, shape (480, 640, 3); None without a render mode."""
-        if self.render_mode is None:
-            return None
-        return self.picture(self._episode, Motion.of(self._state), 0)
-
-    def picture(self, episodes: Episodes, motion: Motion, worm: int) -> npt.NDArray[np.uint8]:
-        """Picture of one of several worms, shape (480, 640, 3), whatever the render mode."""
-        if self._renderer is None:
-            from lattice_gym.rendering.scene import Renderer
-
-            self._renderer = Renderer(self.lattice, self.model, n_marker=len(episodes.task.markers(worm)))
-        caption = episodes.task.caption(motion.rows(np.array([worm])), worm)
-        time, activation = float(episodes.time[worm]), episodes.activation[worm, self.groups]
-        scene = motion.position[worm], activation, time, caption, motion.bolus_position[worm]
-        return self._renderer.update(*scene, episodes.task.markers(worm))
+        return None if self.render_mode is None else self._pictures.draw()
 
     def close(self) -> None:
-        """Free the renderer."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """All but the engine and the renderer, which are built anew."""
-        return {name: value for name, value in vars(self).items() if name not in ("_engine", "_renderer")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Go on exactly from where the pickled environment stood."""
-        vars(self).update(state)
-        self._renderer = None
-        self._engine = self._make_engine()
-        self._engine.restore(self._state)
-
-    def episodes(self, n_worm: int) -> Episodes:
-        """Make episodes of n worms, each as this environment has one."""
-        task = type(self.task)(self.lattice, self.control_dt, model=self.model, n_worm=n_worm, **self._given)
-        task.rest = self._start
-        return self._episodes(task)
-
-    def _episodes(self, task: Task) -> Episodes:
-        n_action = int(self.groups.max()) + 1
-        observer = Observer(
-            self.model, task, n_action, self.observation, self.rhythm, self.adaptation, self._goals_apart
-        )
-        return Episodes(task, observer, self.design, self.groups, self.adaptation, self.randomisation)
-
-    def _make_engine(self) -> Simulation:
-        return simulate(self.engine_name, self._body, self.dt, self.splitting, self.energy_check, self.step_check)
-
-    def _substeps(self, dt: object, allow_large_dt: object) -> tuple[int, float]:
-        """Physics steps in a control step, and their length [s]."""
-        if not isinstance(allow_large_dt, bool):
-            raise ValueError(f"allow_large_dt = {allow_large_dt!r}: must be True or False")
-        control_dt, tension, bodies = self.control_dt, self.design.max_tension, [self.model]
-        tension *= 1.0 if self.adaptation is None else self.adaptation.most
-        if self.randomisation is not None:
-            tension *= self.randomisation.strongest
-            bodies = self.randomisation.corners(self.model)
-        if dt is None:
-            step = min(default_dt(body, control_dt, tension) for body in bodies)
-        else:
-            step = _number("dt", dt, 0.0, control_dt, "s")
-        ratio = control_dt / step
-        if ratio > MAX_SUBSTEPS:
-            raise ValueError(
-                f"dt = {step:g}: {ratio:.3g} steps in control_dt = {control_dt:g} s, at most {MAX_SUBSTEPS}"
-            )
-        n_substeps = round(ratio)
-        if abs(n_substeps * step - control_dt) > DIVISION_TOLERANCE * control_dt:
-            nearest = f"{control_dt / (int(ratio) + 1)!r} and {control_dt / int(ratio)!r}"
-            raise ValueError(
-                f"dt = {step!r}: must divide control_dt = {control_dt!r} s; the nearest that do: {nearest} s"
-            )
-        if dt is None or allow_large_dt:
-            return n_substeps, step
-        limit = min(stable_dt(body, tension, self.splitting) for body in bodies)
-        if step > limit:
-            raise ValueError(f"dt = {step!r}: above the predicted stable {limit:.6g} s; allow_large_dt=True permits it")
-        return n_substeps, step
-
-    def _settled(self) -> RodState:
-        """State in which an episode starts, at rest: that of the model, after it has settled in its surroundings."""
-        state = self.model.rest_state()
-        if not self.task.settles:
-            return state
-        body = replace(self.model, medium_drag=min(self.model.medium_drag, SETTLING_DRAG))
-        # Slack muscles damp nothing, whatever their law, and need no shorter step for it.
-        step = default_dt(replace(body, hill=None), SETTLING_SPAN, self.design.max_tension)
-        engine, start, now, speed = simulate("fused", body, step), state, state, np.inf
-        for _ in range(round(LONGEST_SETTLING / SETTLING_SPAN)):
-            health, before = engine.advance(np.zeros(self.model.n_muscle), round(SETTLING_SPAN / step)), now
-            if not health.ok:
-                raise ValueError(f"world: worm and ball do not come to rest in it: {health}")
-            now = engine.state
-            speed = _speed(before, now) / self.design.height
-            start = replace(state, position=now.position, directors=now.directors, bolus_position=now.bolus_position)
-            if speed <= QUIET or self.task.over(Motion.of(start))[0]:
-                break
-        if self.task.over(Motion.of(start))[0]:
-            raise ValueError(
-                f"world: {self.task.name} is over before it starts: while worm and ball come to rest in it"
-            )
-        if not speed <= AT_REST:
-            raise ValueError(
-                f"world: worm and ball do not come to rest in it: after {LONGEST_SETTLING:g} s their largest speed is "
-                f"{speed:.3g} heights a second; must be at most {AT_REST:g}"
-            )
-        return start
-
-    def _strength_info(self) -> dict[str, Any]:
-        return {} if self.adaptation is None else {"strength": self.strength}
+        """Free the renderer and threads."""
+        self._pictures.close()
+        self.worms.close()
 
     def _observe(self) -> tuple[Observation, int]:
-        """Observation, and how many of its displacements and velocities lay beyond their bound."""
-        observation, n_beyond = self._episode.observe(Motion.of(self._state))
-        seen = {name: part[0] for name, part in observation.items()} if self._goals_apart else observation[0]
-        return seen, int(n_beyond[0])
+        """Observation, and how many of its numbers were clipped."""
+        seen, n_beyond = self.worms.observe()
+        one = {name: part[0] for name, part in seen.items()} if self._goals_apart else seen[0]
+        return one, int(n_beyond[0])
 
 
 def clipped_command(action: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
@@ -622,45 +448,13 @@ def seed_of(seed: object) -> int:
     return number
 
 
+def checked_render_mode(render_mode: str | None) -> str | None:
+    """Render mode, or a ValueError."""
+    if render_mode is not None:
+        check_choice("render_mode", render_mode, RENDER_MODES)
+    return render_mode
+
+
 def _first(values: Mapping[str, FloatArray]) -> dict[str, float]:
     """Numbers of the first worm."""
     return {name: float(value[0]) for name, value in values.items()}
-
-
-def _check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
-    if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{name} = {value!r}: must be one of {', '.join(choices)}")
-
-
-def _number(name: str, value: object, low: float, high: float, unit: str) -> float:
-    """Positive number within bounds."""
-    if is_number(value) and value > 0.0 and low <= value <= high:
-        return float(value)
-    raise ValueError(f"{name} = {value!r}: must be a number from {low:g} to {high:g} [{unit}], and not 0")
-
-
-def _design(design: object, own: Mapping[str, Any]) -> LatticeDesign:
-    if isinstance(design, LatticeDesign):
-        return design
-    if design is None or isinstance(design, Mapping):
-        return LatticeDesign.from_dict({**own, **(design or {})})
-    raise ValueError(f"design = {design!r}: must be a LatticeDesign, its dict form or None")
-
-
-def _world(world: object, own: Callable[[Lattice], World], lattice: Lattice) -> World:
-    if isinstance(world, World):
-        return world
-    if world is None or isinstance(world, Mapping):
-        given, around = dict(world or {}), own(lattice)
-        for name, part in vars(around).items():
-            if isinstance(part, Part) and isinstance(given.get(name), Mapping):
-                given[name] = {**asdict(part), **given[name]}
-        return World.from_dict({**vars(around), **given})
-    raise ValueError(f"world = {shown(world)}: must be a World, its dict form or None")
-
-
-def _speed(before: RodState, now: RodState) -> float:
-    """Largest speed of a node or ball [m/s]: that of now or the mean since a state SETTLING_SPAN ago."""
-    nodes = now.velocity, (now.position - before.position) / SETTLING_SPAN
-    balls = now.bolus_velocity, (now.bolus_position - before.bolus_position) / SETTLING_SPAN
-    return max(float(np.linalg.norm(part, axis=1).max(initial=0.0)) for part in (*nodes, *balls))

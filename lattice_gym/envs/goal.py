@@ -1,4 +1,4 @@
-"""The environment whose goals are observed apart, for hindsight replay."""
+"""The environments whose goals are observed apart, for hindsight replay."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from lattice_gym.checks import FloatArray, shown
 from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.tasks.base import DIVERGENCE, GoalTask, Task
-from lattice_gym.tasks.registry import TASKS, resolve_task
 
 
 class LatticeWormGoalEnv(LatticeWormEnv):
@@ -27,12 +27,6 @@ class LatticeWormGoalEnv(LatticeWormEnv):
 
     _goals_apart = True
 
-    def __init__(self, task: str | type[Task] = "reach", **arguments: Any) -> None:
-        if not issubclass(resolve_task(task), GoalTask):
-            having = ", ".join(name for name, kind in TASKS.items() if issubclass(kind, GoalTask))
-            raise ValueError(f"task = {shown(task)}: has no goals; those that do: {having}")
-        super().__init__(task, **arguments)
-
     def compute_reward(
         self, achieved_goal: npt.NDArray[Any], desired_goal: npt.NDArray[Any], info: Any
     ) -> float | FloatArray:
@@ -42,21 +36,32 @@ class LatticeWormGoalEnv(LatticeWormEnv):
         shape (n,). The terms that goals do not decide are taken from `reward_terms`; infos without it, and None, count
         the goals alone.
         """
-        own = self._goal_task.goal_term
-        reward = self._goal_task.weights[own] * self._goal_task.goal_reward(achieved_goal, desired_goal)
-        single = np.ndim(reward) == 0
-        terms = [entry.get("reward_terms", {}) for entry in _infos(info, np.size(reward))]
-        others = np.array([float(sum(value for name, value in entry.items() if name != own)) for entry in terms])
-        diverged = np.array([entry.get(DIVERGENCE, 0.0) != 0.0 for entry in terms], dtype=bool)
-        if len(terms) > 1:
-            others, diverged = others.reshape(np.shape(reward)), diverged.reshape(np.shape(reward))
-        total: FloatArray = np.where(diverged, others, reward + others)
-        return float(total.item()) if single else total
+        return _goal_reward(self.task, achieved_goal, desired_goal, info)
 
-    @property
-    def _goal_task(self) -> GoalTask:
-        assert isinstance(self.task, GoalTask)
-        return self.task
+
+class LatticeWormGoalVectorEnv(LatticeWormVectorEnv):
+    """A `LatticeWormVectorEnv` of `LatticeWormGoalEnv`s: goals are observed apart, in a dict of three arrays."""
+
+    _goals_apart = True
+
+    def compute_reward(
+        self, achieved_goal: npt.NDArray[Any], desired_goal: npt.NDArray[Any], info: Any
+    ) -> float | FloatArray:
+        """Rewards of steps with these goals, as `LatticeWormGoalEnv.compute_reward` with infos of single worms."""
+        return _goal_reward(self.worms.task, achieved_goal, desired_goal, info)
+
+
+def _goal_reward(task: Task, achieved: npt.NDArray[Any], desired: npt.NDArray[Any], info: Any) -> float | FloatArray:
+    """Reward of steps with these goals."""
+    assert isinstance(task, GoalTask)  # The scene refuses any other.
+    reward = task.weights[task.goal_term] * task.goal_reward(achieved, desired)
+    terms = [entry.get("reward_terms", {}) for entry in _infos(info, np.size(reward))]
+    others = np.array([float(sum(value for name, value in entry.items() if name != task.goal_term)) for entry in terms])
+    diverged = np.array([entry.get(DIVERGENCE, 0.0) != 0.0 for entry in terms], dtype=bool)
+    if len(terms) > 1:
+        others, diverged = others.reshape(np.shape(reward)), diverged.reshape(np.shape(reward))
+    total: FloatArray = np.where(diverged, others, reward + others)
+    return float(total.item()) if np.ndim(reward) == 0 else total
 
 
 def _infos(info: Any, count: int) -> list[Mapping[str, Any]]:

@@ -1,146 +1,154 @@
-"""What is observed of worms: from their motion to numbers of order one within finite bounds."""
+"""What is observed of worms: a list of named terms, one after the other, within finite bounds."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from inspect import getdoc
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from lattice_gym.body.lattice import Lattice
-from lattice_gym.checks import TURN, FloatArray, IntArray
-from lattice_gym.physics.assembly import RodModel
-from lattice_gym.physics.laws.adaptation import Adaptation
-from lattice_gym.physics.state import Motion
+from lattice_gym.checks import FloatArray, IntArray, shown
+from lattice_gym.envs.terms import TERMS, ObservationTerm
 from lattice_gym.tasks.base import COMMAND_BOUND, GoalTask, Task
+
+if TYPE_CHECKING:
+    from lattice_gym.envs.core import Worms
+    from lattice_gym.envs.scene import Scene
 
 Observation = Any
 """An array; of a worm with goals a dict of three."""
+TermLike = str | type[ObservationTerm]
+"""A term's name, "module:Class", or the class itself."""
 
-OBSERVATIONS = ("sites", "nodes")
 
-POSITION_SCALE = 0.2
-"""Displacements are observed in units of this share of the height."""
-VELOCITY_SCALE = 1.0
-"""Velocities are observed in units of this many heights a second."""
-OBSERVATION_BOUND = 20.0
-"""Bound of observed displacements and velocities, several times what the default design reaches."""
+def resolve_terms(observation: object, scene: Scene) -> tuple[type[ObservationTerm], ...]:
+    """Classes of the terms that are asked for; None: sites, activation, command, and clock and strength where given.
+
+    Of the scene only `goals_apart`, `rhythm` and `adaptation` are read.
+
+    Raises
+    ------
+    ValueError
+        What is no list of different terms, or lacks one for what was asked to be observed by another argument.
+    """
+    given = {"clock": scene.rhythm is not None, "strength": scene.adaptation is not None and scene.adaptation.observed}
+    further = [name for name, wanted in given.items() if wanted]
+    default = ["sites", "activation", *([] if scene.goals_apart else ["command"]), *further]
+    if observation is None:
+        observation = default
+    if not isinstance(observation, list | tuple) or len(observation) == 0:
+        first = [observation] if isinstance(observation, str) and observation in TERMS else default[:1]
+        example = str([*first, *default[1:]]).replace("'", '"')
+        raise ValueError(f"observation = {shown(observation)}: must be a list of terms; write {example}")
+    terms = tuple(_term(f"observation[{place}]", term) for place, term in enumerate(observation))
+    names = [term.name for term in terms]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"observation: holds {name!r} twice")
+    for name in further:
+        if name not in names:
+            why = f"rhythm = {scene.rhythm:g}" if name == "clock" else "adaptation.observed = True"
+            raise ValueError(f'{why}: is not observed; add "{name}" to observation')
+    return terms
+
+
+def _term(label: str, term: object) -> type[ObservationTerm]:
+    """Class of one term."""
+    if isinstance(term, str) and term in TERMS:
+        return TERMS[term]
+    found: object = term
+    if isinstance(term, str) and ":" in term:
+        try:
+            found = resolve_name(term)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise ValueError(f"{label} = {shown(term)}: cannot be imported: {error}") from error
+    if isinstance(found, type) and issubclass(found, ObservationTerm):
+        return found
+    raise ValueError(
+        f'{label} = {shown(term)}: must be one of {", ".join(TERMS)}, a subclass of ObservationTerm or "module:Class"'
+    )
 
 
 class Observer:
-    """Observes worms side by side; what an observation holds says `LatticeWormEnv`.
+    """Observes worms side by side.
 
     Parameters
     ----------
-    model
-        The assembly that moves.
+    scene
+        What they have in common; `scene.terms` are observed.
     task
-        What is asked of them; displacements count from its `rest`.
-    n_action
-        Number of control groups.
-    points
-        "sites" or "nodes".
-    rhythm
-        Frequency of the clock [Hz]; None: no clock.
-    adaptation
-        How strength changes, if that is observed.
-    goals
-        Whether goals are observed apart; for a `GoalTask`.
+        What is asked of them.
+
+    Attributes
+    ----------
+    terms : tuple of ObservationTerm
+        In their order.
+    slices : dict
+        Where each term stands in the flat observation, by name.
+    space : Space
+        Of one worm's observations.
 
     """
 
-    def __init__(
-        self,
-        model: RodModel,
-        task: Task,
-        n_action: int,
-        points: str,
-        rhythm: float | None,
-        adaptation: Adaptation | None,
-        goals: bool,
-    ) -> None:
-        self._task, self._rhythm, self._goals = task, rhythm, task if goals and isinstance(task, GoalTask) else None
-        self._nodes = _observed_nodes(model, task.lattice, points).T
-        self._rest = self._sum(task.rest.position)
-        self._strength = adaptation is not None and adaptation.observed
-        height = task.lattice.design.height
-        # Of sums over the nodes of a point, which are one or two, so that nothing is rounded by it.
-        self._scale = len(self._nodes) * height * np.array([POSITION_SCALE, VELOCITY_SCALE])[:, None, None]
-        strongest = adaptation.most if adaptation is not None and adaptation.observed else 0.0
-        self.space = self._space(n_action, model.n_muscle if self._strength else 0, strongest)
-
-    def __call__(
-        self, motion: Motion, activation: FloatArray, time: FloatArray, strength: FloatArray | None
-    ) -> tuple[Observation, IntArray]:
-        """Observations of all worms, and how many displacements and velocities of each lay beyond their bound.
-
-        Parameters
-        ----------
-        motion
-            Of all worms.
-        activation
-            Of every control group, shape (n_worm, n_action).
-        time
-            Since the start of each worm's episode [s], shape (n_worm,).
-        strength
-            Of every muscle, shape (n_worm, n_muscle); None: that of the design.
-
-        """
-        moving, beyond = self._moving(motion)
-        parts = [moving, activation]
-        if self._goals is None:
-            parts.append(self._task.observe(motion, time))
-        if self._rhythm is not None:
-            angle = TURN * self._rhythm * time
-            parts.append(np.array([np.cos(angle), np.sin(angle)]).T)
-        if self._strength and strength is not None:
-            parts.append(strength)
-        flat = np.concatenate(parts, axis=-1, dtype=np.float32)
-        if self._goals is None:
-            return flat, beyond
-        goals = {"achieved_goal": self._goals.achieved(motion), "desired_goal": self._goals.desired()}
-        return {"observation": flat, **goals}, beyond
-
-    def _moving(self, motion: Motion) -> tuple[FloatArray, IntArray]:
-        """Scaled displacements and velocities, shape (n_worm, 6 n_point), and how many of each worm were clipped."""
-        moving = np.empty((len(motion.position), 2, *self._rest.shape))
-        displacement = np.subtract(self._sum(motion.position), self._rest, out=moving[:, 0])
-        if self._task.travels:
-            for along in (displacement[..., 0], displacement[..., 1]):
-                along -= along.mean(axis=-1, keepdims=True)
-        moving[:, 1] = self._sum(motion.velocity)
-        moving /= self._scale
-        free = moving.reshape(len(moving), -1)
-        if np.abs(free).max(initial=0.0) <= OBSERVATION_BOUND:
-            return free, np.zeros(len(free), dtype=np.int64)
-        bounded = np.minimum(np.maximum(free, -OBSERVATION_BOUND), OBSERVATION_BOUND)
-        return bounded, (bounded != free).sum(axis=-1)
-
-    def _sum(self, values: FloatArray) -> FloatArray:
-        """Sum of the values at the nodes of each observed point, shape (..., n_point, 3)."""
-        first, *others = self._nodes
-        total: FloatArray = values.take(first, axis=-2)
-        for other in others:
-            total += values.take(other, axis=-2)
-        return total
-
-    def _space(self, n_action: int, n_strength: int, strongest: float) -> spaces.Space[Any]:
-        n_moving = 2 * self._rest.size
-        commanded = self._task.bounds if self._goals is None else ()
-        bounds = np.array(commanded + (() if self._rhythm is None else (1.0, 1.0)))
-        most = np.full(n_strength, strongest)
-        high = np.concatenate([np.full(n_moving, OBSERVATION_BOUND), np.ones(n_action), bounds, most])
-        low = np.concatenate([np.full(n_moving, -OBSERVATION_BOUND), np.zeros(n_action), -bounds, 0.0 * most])
+    def __init__(self, scene: Scene, task: Task) -> None:
+        self.terms = tuple(_built(term, scene) for term in scene.terms)
+        ends = np.cumsum([0, *(term.size for term in self.terms)]).tolist()
+        self.slices = {term.name: slice(*ends[place : place + 2]) for place, term in enumerate(self.terms)}
+        self._goals = task if scene.goals_apart and isinstance(task, GoalTask) else None
+        low, high = (np.concatenate([getattr(term, end) for term in self.terms]) for end in ("low", "high"))
         flat = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        self.space: spaces.Space[Any] = flat
+        if self._goals is not None:
+            goal = spaces.Box(-COMMAND_BOUND, COMMAND_BOUND, (self._goals.n_goal,), np.float32)
+            self.space = spaces.Dict({"observation": flat, "achieved_goal": goal, "desired_goal": goal})
+
+    def __call__(self, worms: Worms) -> tuple[Observation, IntArray]:
+        """Observations of all worms, and how many numbers of each were clipped, shape (n_worm,)."""
+        n_clipped, parts = np.zeros(worms.n_worm, dtype=np.int64), []
+        for term in self.terms:
+            values = term(worms)
+            if not term.stays_within:
+                values, beyond = _clipped(term, values, worms.n_worm)
+                n_clipped += beyond
+            parts.append(values)
+        flat: npt.NDArray[np.float32] = np.concatenate(parts, axis=-1, dtype=np.float32)
         if self._goals is None:
-            return flat
-        goal = spaces.Box(-COMMAND_BOUND, COMMAND_BOUND, (self._goals.n_goal,), np.float32)
-        return spaces.Dict({"observation": flat, "achieved_goal": goal, "desired_goal": goal})
+            return flat, n_clipped
+        goals = {"achieved_goal": self._goals.achieved(worms.motion), "desired_goal": self._goals.desired()}
+        return {"observation": flat, **goals}, n_clipped
 
 
-def _observed_nodes(model: RodModel, lattice: Lattice, points: str) -> npt.NDArray[np.int64]:
-    """Rows of the nodes whose mean is an observed point, shape (n_point, 1 or 2); none that a clamp holds."""
-    nodes = lattice.site_nodes if points == "sites" else np.arange(lattice.n_rod * lattice.n_node)[:, None]
-    held = [model.node_offset[clamp.rod] + clamp.node for clamp in model.clamps if clamp.node is not None]
-    return nodes[~np.isin(nodes, held).any(axis=1)]
+def table(terms: Sequence[ObservationTerm]) -> str:
+    """Markdown table of terms: name, size, unit, bounds and meaning."""
+    rows = ["| term | numbers | unit | bounds | what |", "|---|---|---|---|---|"]
+    for term in terms:
+        spans = dict.fromkeys(f"{low:g} to {high:g}" for low, high in zip(term.low, term.high, strict=True))
+        meaning = " ".join((getdoc(type(term)) or "").split())
+        rows.append(f"| `{term.name}` | {term.size} | {term.unit} | {', '.join(spans)} | {meaning} |")
+    return "\n".join(rows) + "\n"
+
+
+def _built(kind: type[ObservationTerm], scene: Scene) -> ObservationTerm:
+    """Term of a scene, whose bounds are sound."""
+    term = kind(scene)
+    low, high = (np.asarray(getattr(term, end, None)) for end in ("low", "high"))
+    shaped = low.dtype.kind in "fiu" and low.ndim == 1 and low.shape == high.shape
+    if not (shaped and high.dtype.kind in "fiu" and np.isfinite([low, high]).all() and (low <= high).all()):
+        raise ValueError(f"{kind.__name__}: low and high must be finite arrays of one shape (size,), low <= high")
+    return term
+
+
+def _clipped(term: ObservationTerm, values: FloatArray, n_worm: int) -> tuple[FloatArray, IntArray | int]:
+    """Values of a term within its bounds, and how many of each worm were not."""
+    if np.shape(values) != (n_worm, term.size):
+        raise ValueError(f"{term.name}: must give shape {(n_worm, term.size)}, got {np.shape(values)}")
+    if ((values >= term.low) & (values <= term.high)).all():
+        return values, 0
+    if np.isnan(values).any():
+        raise ValueError(f"{term.name}: gives NaN")
+    bounded = np.minimum(np.maximum(values, term.low), term.high)
+    return bounded, (bounded != values).sum(axis=-1)

@@ -43,7 +43,7 @@ def register_task(task: str | type[Task], id: str, goals: bool = False) -> None:
     if goals and not issubclass(kind, GoalTask):
         raise ValueError(f"goals = {goals!r}: {kind.name} is no GoalTask")
     entry, vector = (
-        ("goal:LatticeWormGoalEnv", "vector:LatticeWormGoalVectorEnv")
+        ("goal:LatticeWormGoalEnv", "goal:LatticeWormGoalVectorEnv")
         if goals
         else ("env:LatticeWormEnv", "vector:LatticeWormVectorEnv")
     )

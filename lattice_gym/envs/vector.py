@@ -8,21 +8,18 @@ from typing import Any, ClassVar, NoReturn, SupportsIndex
 import gymnasium
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from lattice_gym.checks import FloatArray, IntArray, shown, whole_number
-from lattice_gym.engines.registry import make_engine
-from lattice_gym.envs.env import OK, LatticeWormEnv, clipped_command, seed_of
-from lattice_gym.envs.goal import LatticeWormGoalEnv
+from lattice_gym.envs.core import OK, Mask, Worms
+from lattice_gym.envs.env import METADATA, checked_render_mode, clipped_command, seed_of
 from lattice_gym.envs.observation import Observation
-from lattice_gym.envs.randomisation import varied
+from lattice_gym.envs.pictures import Pictures
 from lattice_gym.envs.registration import warn_of_time_limit
-from lattice_gym.physics.state import Motion
-
-Mask = npt.NDArray[np.bool_]
-"""Of shape (num_envs,)."""
+from lattice_gym.envs.scene import Scene
 
 
 class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[Any]]):
@@ -62,7 +59,8 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         A step before the first reset, or of a worm that has ended and does not reset itself.
     """
 
-    _single: ClassVar[type[LatticeWormEnv]] = LatticeWormEnv
+    _goals_apart: ClassVar[bool] = False
+    """Whether goals are observed apart."""
 
     def __init__(
         self,
@@ -70,37 +68,29 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         num_threads: int | None = None,
+        *,
+        render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
         self.num_envs = _count("num_envs", num_envs)
         self._limit = None if max_episode_steps is None else _count("max_episode_steps", max_episode_steps)
-        if num_threads is not None:
-            _count("num_threads", num_threads)
         try:
             self._mode = AutoresetMode(autoreset_mode)
         except ValueError:
             modes = ", ".join(repr(mode.value) for mode in AutoresetMode)
             raise ValueError(f"autoreset_mode = {shown(autoreset_mode)}: must be one of {modes}") from None
-        one = self._one = self._single(**arguments)
-        self.metadata = {**one.metadata, "autoreset_mode": self._mode}
-        self.render_mode = one.render_mode
-        self.single_action_space, self.single_observation_space = one.action_space, one.observation_space
-        self.action_space = batch_space(one.action_space, self.num_envs)
-        self.observation_space = batch_space(one.observation_space, self.num_envs)
-        self._episodes, self._start = one.episodes(self.num_envs), one.start
-        self._engine = make_engine(
-            one.engine_name,
-            [one.model] * self.num_envs,
-            one.dt,
-            one.splitting,
-            energy_check=one.energy_check,
-            step_check=one.step_check,
-            num_threads=num_threads,
-        )
+        self.render_mode = checked_render_mode(render_mode)
+        self.scene = Scene(goals_apart=self._goals_apart, **arguments)
+        self.worms = Worms(self.scene, self.num_envs, num_threads=num_threads)
+        self.metadata = {**METADATA, "render_fps": 1.0 / self.scene.control_dt, "autoreset_mode": self._mode}
+        self.single_action_space = spaces.Box(0.0, 1.0, (self.scene.n_group,), np.float32)
+        self.single_observation_space = self.worms.observer.space
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._pictures = Pictures(self.worms)
         self._random = [seeding.np_random(None) for _ in range(self.num_envs)]
         self._seen: Observation = None
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
-        self._failed = np.zeros(self.num_envs, dtype=np.bool_)
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -126,18 +116,18 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         """
         seeds, (mask, given) = self._seeds(seed), self._options(options)
         if self._limit:
-            warn_of_time_limit(self.spec, type(self._episodes.task), self._limit)
+            warn_of_time_limit(self.spec, self.scene.task, self._limit)
         if self._seen is None and not mask.all():
             raise gymnasium.error.ResetNeeded("reset() must be called without a reset_mask first")
         for worm in _worms(mask):
-            self._episodes.task.check(given[worm])
+            self.worms.task.check(given[worm])
         infos: dict[str, Any] = {}
         for worm in _worms(mask):
             if seeds[worm] is not None:
                 self._random[worm] = seeding.np_random(seeds[worm])
             infos = self._add_info(infos, self._begin(worm, given[worm]), worm)
         self._ended = self._ended & ~mask
-        seen, _ = self._episodes.observe(self._motion)
+        seen, _ = self.worms.observe()
         self._seen = seen if mask.all() else _merged(mask, seen, self._seen)
         return _copied(self._seen), infos
 
@@ -145,93 +135,64 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         """Advance every worm by `control_dt`, but for those that are reset instead."""
         if self._seen is None:
             raise gymnasium.error.ResetNeeded("reset() must be called first")
-        command, n_clipped = clipped_command(actions, (self.num_envs, *self._one.action_space.shape))
+        command, n_clipped = clipped_command(actions, (self.num_envs, self.scene.n_group))
         if self._mode is AutoresetMode.DISABLED and self._ended.any():
             worms = _worms(self._ended)
             raise gymnasium.error.ResetNeeded(f"worms {worms} have ended and must be reset first")
         live = ~self._ended
-        sound = live & self._advance(command)
-        self._failed, episodes = live & ~sound, self._episodes
-        terms, over = episodes.score(self._motion, sound)
-        reward = np.where(live, sum(terms.values()), 0.0)
-        terminated, n_step = over & live, episodes.n_step + self._failed
-        truncated: Mask = live & (n_step >= self._limit) if self._limit else np.zeros_like(live)
-        ended = terminated | truncated
+        result = self.worms.step(command, live)
+        truncated: Mask = live & (self.worms.n_step >= self._limit) if self._limit else np.zeros_like(live)
+        ended = result.over | truncated
+        told: dict[str, Any] = {"reward_terms": result.terms, "status": self._status(), "clipped_actions": n_clipped}
         outcome = self._outcome_of(ended.nonzero()[0])
-        resets = {worm: self._begin(worm, None) for worm in _worms(~live)}
-        seen, n_beyond = episodes.observe(self._motion)
-        # Not before the last sound moment was observed.
-        episodes.n_step += self._failed
-        told: dict[str, Any] = {"reward_terms": terms, "status": self._status(), "clipped_actions": n_clipped}
-        told |= {"clipped_observations": n_beyond} | self._strength_info()
+        resets = {worm: self._begin(worm) for worm in _worms(~live)}
+        seen, told["clipped_observations"] = self.worms.observe()
+        if self.scene.adaptation is not None:
+            told["strength"] = self.worms.strength
         if self._mode is AutoresetMode.SAME_STEP and ended.any():
             infos = _masked(told, live & ~ended) | self._final(seen, ended)
             infos["final_info"] = _masked(told, ended) | _masked({"outcome": outcome}, ended)
-            resets = {worm: self._begin(worm, None) for worm in _worms(ended)}
-            seen, _ = episodes.observe(self._motion)
+            resets = {worm: self._begin(worm) for worm in _worms(ended)}
+            seen, _ = self.worms.observe()
         else:
             infos = _masked(told, live) | _masked({"outcome": outcome}, ended)
             self._ended = ended
         for worm, info in resets.items():
             infos = self._add_info(infos, info, worm)
         self._seen = seen
-        return _copied(seen), reward, terminated, truncated, infos
+        return _copied(seen), result.reward, result.over, truncated, infos
+
+    @property
+    def observation_slices(self) -> dict[str, slice]:
+        """Where each term stands in the (flat) observation of a worm, by name."""
+        return dict(self.worms.observer.slices)
 
     def outcome(self) -> dict[str, FloatArray]:
         """Return what the motion of every worm came to by now, shape (num_envs,) each; see `LatticeWormEnv`."""
-        return self._outcome_of(np.arange(self.num_envs))
+        return self.worms.outcome()
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
         """Pictures of the worms now, shape (480, 640, 3) each; None without a render mode."""
-        if self.render_mode is None:
-            return None
-        return tuple(self._one.picture(self._episodes, self._motion, worm) for worm in range(self.num_envs))
+        return None if self.render_mode is None else tuple(map(self._pictures.draw, range(self.num_envs)))
 
     def close_extras(self, **_: Any) -> None:
         """Free threads and the renderer."""
-        self._engine.close()
-        self._one.close()
+        self._pictures.close()
+        self.worms.close()
 
     def __reduce_ex__(self, _: SupportsIndex) -> NoReturn:
         """Refuse to be pickled or copied: the parts of the physics share arrays, which a copy would not."""
         raise TypeError(f"{type(self).__name__}: can be neither pickled nor copied")
 
-    @property
-    def _motion(self) -> Motion:
-        engine = self._engine
-        return Motion(engine.position, engine.velocity, engine.bolus_position, engine.bolus_velocity)
-
-    def _advance(self, command: FloatArray) -> Mask:
-        """Advance all worms but those that are to be reset, and tell which of them are sound."""
-        if self._ended.all():
-            return ~self._ended
-        tension = self._episodes.tension(command)
-        if self._ended.any():
-            for worm in _worms(self._ended & self._failed):
-                self._engine.restore(worm, self._start)
-            tension[:, self._ended] = 0.0
-        sound: Mask = self._engine.advance(tension, self._one.n_substeps) == 0
-        return sound
-
-    def _begin(self, worm: int, options: Mapping[str, object] | None) -> dict[str, Any]:
+    def _begin(self, worm: int, options: Mapping[str, object] | None = None) -> dict[str, Any]:
         """Start an episode of a worm, and tell of it as a single environment does."""
-        factors = self._episodes.begin(self._random[worm][0], options, worm)
-        if factors:
-            self._engine.replace(worm, varied(self._one.model, factors))
-        self._engine.restore(worm, self._start)
-        strength = {name: values[worm] for name, values in self._strength_info().items()}
-        told = {"factors": dict(factors)} if factors else {}
-        return {"command": self._episodes.task.command_of(worm), "status": OK} | told | strength
-
-    def _strength_info(self) -> dict[str, FloatArray]:
-        strength = self._episodes.strength
-        return {} if strength is None else {"strength": strength}
+        return self.worms.begin(worm, self._random[worm][0], options)
 
     def _status(self) -> npt.NDArray[np.object_]:
         """How the step went for every worm."""
         status = np.full(self.num_envs, OK, dtype=object)
-        for worm in _worms(self._failed):
-            status[worm] = str(self._engine.health(worm))
+        for worm in _worms(self.worms.failed):
+            status[worm] = self.worms.status(worm)
         return status
 
     def _outcome_of(self, worms: IntArray) -> dict[str, FloatArray]:
@@ -239,7 +200,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         if not worms.size:
             return {}
         outcome = {}
-        for name, values in self._episodes.task.outcome(self._motion.rows(worms), worms).items():
+        for name, values in self.worms.outcome(worms).items():
             outcome[name] = np.zeros(self.num_envs)
             outcome[name][worms] = values
         return outcome
@@ -284,19 +245,6 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
                 )
         own = {name: given[name].tolist() for name in each}
         return mask, [given | {name: own[name][worm] for name in each} for worm in range(self.num_envs)]
-
-
-class LatticeWormGoalVectorEnv(LatticeWormVectorEnv):
-    """A `LatticeWormVectorEnv` of `LatticeWormGoalEnv`s: goals are observed apart, in a dict of three arrays."""
-
-    _single = LatticeWormGoalEnv
-
-    def compute_reward(
-        self, achieved_goal: npt.NDArray[Any], desired_goal: npt.NDArray[Any], info: Any
-    ) -> float | FloatArray:
-        """Rewards of steps with these goals, as `LatticeWormGoalEnv.compute_reward` with infos of single worms."""
-        assert isinstance(self._one, LatticeWormGoalEnv)
-        return self._one.compute_reward(achieved_goal, desired_goal, info)
 
 
 def _count(name: str, value: object) -> int:

@@ -121,6 +121,11 @@ def top_centre(lattice: Lattice, position: FloatArray) -> FloatArray:
     return _centre(_sites(lattice, position, top_sites(lattice)))
 
 
+def base_centre(lattice: Lattice, position: FloatArray) -> FloatArray:
+    """Mean place of the bottom ring's sites [m], shape (..., 3)."""
+    return _centre(_sites(lattice, position, bottom_sites(lattice)))
+
+
 def top_normal(lattice: Lattice, position: FloatArray) -> FloatArray:
     """Return the unit normal of the top ring, shape (..., 3): the direction of the area vector of its sites."""
     return _normal(_sites(lattice, position, top_sites(lattice)), "top")
@@ -376,6 +381,22 @@ def muscle_lengths(model: RodModel, position: FloatArray) -> FloatArray:
     if not one.size:
         return rods
     return np.concatenate([rods, _norm(position.take(one, axis=-2) - position.take(other, axis=-2))], axis=-1)
+
+
+def muscle_rates(model: RodModel, position: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Rate at which every muscle grows longer [m/s], shape (..., n_muscle): the derivative of `muscle_lengths`."""
+    (lower, start), (one, other) = model.muscle_elements, model.line_nodes
+    along = _parting(position, velocity, lower, lower + 1)
+    rods: FloatArray = np.add.reduceat(along, start, axis=-1) if start.size else along
+    return np.concatenate([rods, _parting(position, velocity, other, one)], axis=-1) if one.size else rods
+
+
+def _parting(position: FloatArray, velocity: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
+    """Rate at which the distance of pairs of nodes grows [m/s], shape (..., n_pair)."""
+    apart = position.take(second, axis=-2) - position.take(first, axis=-2)
+    moving = velocity.take(second, axis=-2) - velocity.take(first, axis=-2)
+    rate: FloatArray = (apart * moving).sum(axis=-1) / _norm(apart)
+    return rate
 
 
 def dilatation(model: RodModel, position: FloatArray) -> FloatArray:

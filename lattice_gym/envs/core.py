@@ -1,0 +1,326 @@
+"""Worms side by side: one control step from commands to reward terms, shared by single and vector environments."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.engines.health import Health
+from lattice_gym.engines.registry import make_engine
+from lattice_gym.envs.measures import Measures
+from lattice_gym.envs.observation import Observation, Observer
+from lattice_gym.envs.randomisation import pull, varied
+from lattice_gym.envs.scene import Scene
+from lattice_gym.physics.laws.activation import ACTIVATIONS
+from lattice_gym.physics.measures import muscle_strain
+from lattice_gym.physics.state import Motion, RodState
+from lattice_gym.tasks.base import DIVERGENCE, EFFORT, Task
+
+Mask = npt.NDArray[np.bool_]
+"""One bool a worm, shape (n_worm,)."""
+
+OK = str(Health())
+ROUNDING = 1e-9
+"""Share by which a sum of terms that reach their bounds may be above the sum of these."""
+
+
+class Step(NamedTuple):
+    """What a control step came to."""
+
+    terms: dict[str, FloatArray]
+    """Reward terms by name, in order, shape (n_worm,) each."""
+    reward: FloatArray
+    """Their sum, shape (n_worm,)."""
+    over: Mask
+    """Of which worms the episode has ended with this step: the task is over, or the physics failed."""
+
+
+class Worms:
+    """One or several worms of a scene, whose episodes begin and end apart but which step together.
+
+    Each moves to the last bit as it would alone. Everything public may be read at any time and changes nothing.
+
+    Parameters
+    ----------
+    scene
+        What they have in common.
+    n_worm
+        Their number.
+    keep_state
+        Keep a copy of the state at the end of every sound step, to which a worm returns whose physics fails. Otherwise
+        such a worm has no sound state until it begins anew; its motion is that of its last sound moment either way.
+    num_threads
+        Threads that advance them; None: as many as there are cores for this process.
+
+    Attributes
+    ----------
+    scene : Scene
+        What they have in common.
+    n_worm : int
+        Their number.
+    task : Task
+        What is asked of them, with commands and memory of every worm.
+    motion : Motion
+        Positions and velocities of nodes and balls, as of each worm's last sound moment. Read-only arrays that change
+        with every step: copy what is to be kept.
+    previous_action : array
+        Commands of the last step, as clipped, 0 at the start of an episode, shape (n_worm, n_group).
+    n_step : array
+        Control steps since each episode began, shape (n_worm,), one that failed included.
+    failed : array
+        Whose physics failed in its last step, shape (n_worm,).
+    observer : Observer
+        What is observed: terms, their slices, and the space.
+    engine : Engine
+        What advances them.
+
+    """
+
+    def __init__(
+        self, scene: Scene, n_worm: int = 1, *, keep_state: bool = False, num_threads: int | None = None
+    ) -> None:
+        self.scene, self.n_worm = scene, n_worm
+        self.task = scene.make_task(n_worm)
+        self.task.rest = scene.start
+        self._models, self._num_threads = [scene.model] * n_worm, num_threads
+        self._open([scene.start] * n_worm)
+        self._kept = [scene.start] * n_worm if keep_state else None
+        self._activation = scene.activation.rest((n_worm, scene.n_group))
+        self._foreign_law = type(scene.activation) not in ACTIVATIONS.values()
+        self.previous_action = np.zeros((n_worm, scene.n_group))
+        self.n_step = np.zeros(n_worm, dtype=np.int64)
+        self.failed = np.zeros(n_worm, dtype=np.bool_)
+        n_muscle = len(scene.groups)
+        self._use = None if scene.adaptation is None else scene.adaptation.untrained((n_worm, n_muscle))
+        self._pull = None if scene.randomisation is None else np.ones((n_worm, n_muscle))
+        self.observer = Observer(scene, self.task)
+        self._most, self._warned = _largest_reward(self.task), False
+
+    @property
+    def group_activation(self) -> FloatArray:
+        """Activation of every control group, in [0, 1], shape (n_worm, n_group)."""
+        activation: FloatArray = self._activation[0]
+        return activation
+
+    @property
+    def activation(self) -> FloatArray:
+        """Activation of every active muscle, in [0, 1], shape (n_worm, n_muscle)."""
+        return self.group_activation.take(self.scene.groups, axis=-1)
+
+    @property
+    def strength(self) -> FloatArray:
+        """Strength by use of every active muscle over the design's, shape (n_worm, n_muscle); 1 without adaptation."""
+        return np.ones((self.n_worm, len(self.scene.groups))) if self._use is None else self._use.factor
+
+    @property
+    def time(self) -> FloatArray:
+        """Time since each episode began [s], at the end of its last step, be it one that failed, shape (n_worm,)."""
+        return np.asarray(self.n_step * self.scene.control_dt, dtype=np.float64)
+
+    @property
+    def sound_time(self) -> FloatArray:
+        """Time of what `motion` shows [s], shape (n_worm,): `time`, or that of the step before one that failed."""
+        return np.asarray((self.n_step - self.failed) * self.scene.control_dt, dtype=np.float64)
+
+    @property
+    def measures(self) -> Measures:
+        """Named quantities of the motion now."""
+        return Measures(self.scene.lattice, self.scene.model, self.motion)
+
+    def state(self, worm: int = 0) -> RodState:
+        """Copy the state of a worm: that of its last sound moment where states are kept."""
+        return self.engine.state(worm) if self._kept is None else self._kept[worm].copy()
+
+    def restore(self, state: RodState, worm: int = 0) -> None:
+        """Put the body of a worm into another state; a ValueError where it does not fit.
+
+        Commands, activation and what the task remembers stay.
+        """
+        self.engine.restore(worm, state)
+        if self._kept is not None:
+            self._kept[worm] = state.copy()
+
+    def status(self, worm: int = 0) -> str:
+        """Return "ok", or what went wrong in the last step of a worm and where."""
+        return str(self.engine.health(worm)) if self.failed[worm] else OK
+
+    def outcome(self, worms: IntArray | None = None) -> dict[str, FloatArray]:
+        """Return what the motion of some worms, by default of all, came to by now, shape (n,) each."""
+        if worms is None:
+            return self.task.outcome(self.motion, np.arange(self.n_worm))
+        return self.task.outcome(self.motion.rows(worms), worms)
+
+    def observe(self) -> tuple[Observation, IntArray]:
+        """Observations of all worms, and how many numbers of each were clipped, shape (n_worm,)."""
+        return self.observer(self)
+
+    def begin(
+        self, worm: int, generator: np.random.Generator, options: Mapping[str, object] | None = None
+    ) -> dict[str, Any]:
+        """Begin an episode of one worm; return what `info` tells of it.
+
+        Parameters
+        ----------
+        worm
+            Its row.
+        generator
+            What is drawn, comes from it.
+        options
+            Commanded numbers by name; see `Task.begin`, also for the ValueError.
+        """
+        scene = self.scene
+        self.task.begin(generator, options, worm)
+        self._activation[:, worm] = scene.activation.rest(scene.n_group)
+        self.previous_action[worm] = 0.0
+        self.n_step[worm], self.failed[worm] = 0, False
+        info: dict[str, Any] = {"command": self.task.command_of(worm), "status": OK}
+        if scene.randomisation is not None and self._pull is not None:
+            factors = scene.randomisation.draw(generator, len(scene.groups))
+            self._pull[worm] = pull(factors)
+            self._models[worm] = varied(scene.model, factors)
+            self.engine.replace(worm, self._models[worm])
+            info["factors"] = factors
+        self.restore(scene.start, worm)
+        if scene.adaptation is not None and self._use is not None:
+            begun = scene.adaptation.begun(self._use.row(worm))
+            self._use = self._use.where(np.arange(self.n_worm) == worm, begun)
+            info["strength"] = self._use.factor[worm]
+        return info
+
+    def step(self, command: FloatArray, live: Mask | None = None) -> Step:
+        """Advance by one control step.
+
+        Of a worm whose physics fails nothing changes but its time: all that it earns is the penalty, and its motion
+        stays that of its last sound moment.
+
+        Parameters
+        ----------
+        command
+            One number in [0, 1] for every control group, shape (n_worm, n_group).
+        live
+            Worms that step; None: all. Of the others nothing is asked, and they earn nothing.
+        """
+        scene, before = self.scene, self._activation
+        live = np.ones(self.n_worm, dtype=np.bool_) if live is None else live
+        after = scene.activation.advance(before, command, scene.control_dt)
+        if self._foreign_law and not ((after[0] >= 0.0) & (after[0] <= 1.0)).all():
+            raise ValueError(f"{type(scene.activation).__name__}.advance: activations must stay from 0 to 1")
+        active = np.array([before[0], after[0]]).take(scene.groups, axis=-1)
+        tension = scene.design.max_tension * active
+        by_use = None if self._use is None else self._use.factor
+        factors = [factor for factor in (by_use, self._pull) if factor is not None]
+        if factors:
+            self.task.strength = math.prod(factors[1:], start=factors[0])
+            tension *= self.task.strength
+        sound = self._advance(tension, live)
+        self.n_step += live
+        if whole := bool(sound.all()):
+            self.failed[:] = False
+            self._activation, self.previous_action = after, command.copy()
+        else:
+            self.failed = np.where(live, ~sound, self.failed)
+            self._activation = np.where(sound[:, None], after, before)
+            self.previous_action = np.where(sound[:, None], command, self.previous_action)
+        if scene.adaptation is not None and self._use is not None:
+            mean, strain = 0.5 * (active[0] + active[1]), muscle_strain(scene.model, self.motion.position)
+            used = scene.adaptation.used(self._use, mean, tension.mean(axis=0), strain, scene.control_dt)
+            self._use = self._use.where(sound, used)
+        terms, over = self._scored(None if whole else sound, live), self.task.over(self.motion)
+        reward: FloatArray = np.asarray(sum(terms.values()))
+        self._watch(reward if whole else reward[sound])
+        return Step(terms, reward, over if whole else live & (~sound | over))
+
+    def close(self) -> None:
+        """End the engine's threads; a later step would begin new ones."""
+        self.engine.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the engine, which is built anew, and in its place the state of every worm."""
+        kept = {name: value for name, value in vars(self).items() if name not in ("engine", "motion")}
+        return kept | {"states": [self.state(worm) for worm in range(self.n_worm)]}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Go on exactly from where the pickled worms stood."""
+        states = state.pop("states")
+        vars(self).update(state)
+        self._open(states)
+
+    def _open(self, states: list[RodState]) -> None:
+        """Make the engine, with worms in these states, and show how they move."""
+        scene = self.scene
+        engine = self.engine = make_engine(
+            scene.engine,
+            self._models,
+            scene.dt,
+            scene.splitting,
+            energy_check=scene.energy_check,
+            step_check=scene.step_check,
+            num_threads=self._num_threads,
+        )
+        for worm, state in enumerate(states):
+            engine.restore(worm, state)
+        self.motion = Motion(
+            *map(_read_only, (engine.position, engine.velocity, engine.bolus_position, engine.bolus_velocity))
+        )
+
+    def _advance(self, tension: FloatArray, live: Mask) -> Mask:
+        """Advance live worms under tensions [N], shape (2, n_worm, n_muscle), and tell which of them are sound."""
+        if not live.all():
+            if not live.any():
+                return live.copy()
+            for worm in (self.failed & ~live).nonzero()[0].tolist():
+                self.engine.restore(worm, self.scene.start)
+            tension[:, ~live] = 0.0
+        sound: Mask = live & (self.engine.advance(tension, self.scene.n_substeps) == 0)
+        if self._kept is not None:
+            for worm in live.nonzero()[0].tolist():
+                if sound[worm]:
+                    self._kept[worm] = self.engine.state(worm)
+                else:
+                    self.engine.restore(worm, self._kept[worm])
+        return sound
+
+    def _scored(self, sound: Mask | None, live: Mask) -> dict[str, FloatArray]:
+        """Reward terms of the step that ends, shape (n_worm,) each; None: all worms are sound."""
+        lost = None if sound is None else np.flatnonzero(~sound)
+        memory = {} if lost is None else self.task.remembered(lost)
+        terms = self.task.reward_terms(self.motion, self.activation, self.sound_time)
+        terms[DIVERGENCE] = np.zeros(self.n_worm)
+        if lost is not None:
+            self.task.remind(lost, memory)
+            for values in terms.values():
+                values[lost] = 0.0
+            terms[DIVERGENCE][self.failed & live] = -self.task.penalty
+        return terms
+
+    def _watch(self, reward: FloatArray) -> None:
+        """Warn once of rewards beyond what the task declares, as the price of a divergence counts with that."""
+        worst = max(map(abs, reward.tolist()), default=0.0)
+        if worst <= self._most or self._warned:
+            return
+        self._warned = True
+        warnings.warn(
+            f"{self.task.name}: a reward of size {worst:g} in one control step, beyond the {self._most:g} that its "
+            f"`rewards` declare; a divergence, which costs {self.task.penalty:g}, may pay more than a sound episode: "
+            "widen the ranges of its reward terms",
+            stacklevel=4,
+        )
+
+
+def _largest_reward(task: Task) -> float:
+    """Largest size of a reward in one control step, by the ranges that the task declares, and to rounding."""
+    own = math.fsum(term.span(1, task.weights[name]) for name, term in task.rewards.items())
+    return (own + abs(task.weights[EFFORT])) * (1.0 + ROUNDING)
+
+
+def _read_only(array: FloatArray) -> FloatArray:
+    """View of an array that cannot be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

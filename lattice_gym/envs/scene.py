@@ -1,0 +1,208 @@
+"""What an environment's arguments come to, before anything moves: body, muscles, world, time step, start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from lattice_gym.body.design import LatticeDesign
+from lattice_gym.body.lattice import Lattice, build_lattice
+from lattice_gym.body.muscles import MuscleLayout, control_groups, resolve_layout
+from lattice_gym.checks import IntArray, Part, is_number, shown
+from lattice_gym.engines.registry import ENGINES, EngineName
+from lattice_gym.envs.fidelity import FidelityName, named_fidelity
+from lattice_gym.envs.observation import TermLike, resolve_terms
+from lattice_gym.envs.randomisation import Randomisation
+from lattice_gym.envs.settling import settled
+from lattice_gym.physics.laws.activation import Activation, resolve_activation
+from lattice_gym.physics.laws.adaptation import Adaptation
+from lattice_gym.physics.laws.damping import Splitting
+from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.stable_step import default_dt, stable_dt
+from lattice_gym.physics.world import World
+from lattice_gym.physics.worm import build_model
+from lattice_gym.tasks.base import Given, GoalTask, Task
+from lattice_gym.tasks.registry import TASKS, resolve_task, warn_of_dropped_values
+
+SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT = 1e-6, 1e3
+"""Bounds of the control step [s]."""
+MAX_SUBSTEPS = 1_000_000
+"""More physics steps than this in one control step are a slip in dt, not a wish."""
+DIVISION_TOLERANCE = 1e-9
+"""A control step is a whole number of physics steps if that many differ from it by no more than this share."""
+
+
+class Scene:
+    """All that worms of one environment have in common; nothing in it moves.
+
+    Parameters
+    ----------
+    task
+        As of `LatticeWormEnv`, which documents them all; None: the first that fits.
+    goals_apart
+        Whether goals are observed apart, which only a `GoalTask` has.
+
+    Attributes
+    ----------
+    task : type of Task
+        What is asked of the worms.
+    design, lattice, layout, world, model
+        The body, its muscles, what surrounds it, and the assembly of all of it.
+    groups : array
+        Control group of every active muscle, shape (n_muscle,).
+    n_group : int
+        Number of control groups, that is of actions.
+    control_dt, dt : float
+        Time between actions and time step of the physics [s].
+    n_substeps : int
+        Physics steps in a control step.
+    start : RodState
+        In which episodes start.
+    terms : tuple of types
+        What is observed, in order.
+    activation : Activation
+        How activations follow commands.
+    adaptation, randomisation, rhythm, engine, splitting, energy_check, step_check
+        As given, with defaults filled in.
+
+    Raises
+    ------
+    ValueError
+        An argument that cannot be used; it is named.
+
+    """
+
+    def __init__(
+        self,
+        task: str | type[Task] | None = None,
+        design: LatticeDesign | Mapping[str, Any] | None = None,
+        muscles: str | MuscleLayout | Mapping[str, Any] | None = None,
+        control: str | Sequence[int] | IntArray = "muscle",
+        rhythm: float | None = None,
+        fidelity: FidelityName = "default",
+        splitting: Splitting | None = None,
+        engine: EngineName = "fused",
+        dt: float | None = None,
+        allow_large_dt: bool = False,
+        energy_check: bool = False,
+        step_check: bool = False,
+        control_dt: float = 0.05,
+        observation: Sequence[TermLike] | None = None,
+        command: Given | None = None,
+        world: World | Mapping[str, Any] | None = None,
+        adaptation: Adaptation | Mapping[str, Any] | None = None,
+        hill: Hill | Mapping[str, Any] | None = None,
+        randomise: Mapping[str, Sequence[float]] | None = None,
+        reward_weights: Mapping[str, float] | None = None,
+        activation: Activation | str | Mapping[str, Any] | None = None,
+        *,
+        goals_apart: bool = False,
+    ) -> None:
+        self.task, self.goals_apart = _task(task, goals_apart), goals_apart
+        check_choice("engine", engine, tuple(ENGINES))
+        self.control_dt = _number("control_dt", control_dt, SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT, "s")
+        self.rhythm = None if rhythm is None else _number("rhythm", rhythm, 0.0, 0.5 / self.control_dt, "Hz")
+        preset = named_fidelity(fidelity)
+        self.design = preset.remesh(_design(design, self.task.design))
+        self.lattice = build_lattice(self.design)
+        self.layout = self.task.muscles(self.lattice) if muscles is None else resolve_layout(muscles, self.lattice)
+        self.groups = control_groups(control, self.layout, self.lattice)
+        self.n_group = int(self.groups.max()) + 1
+        self.world = resolve_world(world, self.task.world, self.lattice)
+        if self.world.lying and self.design.base == "clamped":
+            raise ValueError("world: a worm that lies needs a free base (design.base); on a clamped one it stands")
+        self.adaptation = Adaptation.resolve("adaptation", adaptation)
+        self.activation = resolve_activation(activation, self.design)
+        self.randomisation = Randomisation.resolve(randomise)
+        self.terms = resolve_terms(observation, self)
+        self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))
+        self._asked: dict[str, Any] = {"command": command, "reward_weights": reward_weights}
+        first = self.make_task(1)
+        if isinstance(design, LatticeDesign):
+            warn_of_dropped_values(design, self.task)
+        preferred: Splitting = "pyelastica" if engine == "pyelastica" else preset.splitting
+        self.splitting: Splitting = preferred if splitting is None else splitting
+        self.engine, self.energy_check, self.step_check = engine, energy_check, step_check
+        self.n_substeps, self.dt = self._substeps(dt, allow_large_dt)
+        self.start = settled(first, self.model)
+
+    def make_task(self, n_worm: int) -> Task:
+        """Task of so many worms; its `rest` is that of the model until it is given the state that episodes start in."""
+        return self.task(self.lattice, self.control_dt, model=self.model, n_worm=n_worm, **self._asked)
+
+    def _substeps(self, dt: object, allow_large_dt: object) -> tuple[int, float]:
+        """Physics steps in a control step, and their length [s]."""
+        if not isinstance(allow_large_dt, bool):
+            raise ValueError(f"allow_large_dt = {allow_large_dt!r}: must be True or False")
+        control_dt, tension, bodies = self.control_dt, self.design.max_tension, [self.model]
+        tension *= 1.0 if self.adaptation is None else self.adaptation.most
+        if self.randomisation is not None:
+            tension *= self.randomisation.strongest
+            bodies = self.randomisation.corners(self.model)
+        if dt is None:
+            step = min(default_dt(body, control_dt, tension) for body in bodies)
+        else:
+            step = _number("dt", dt, 0.0, control_dt, "s")
+        ratio = control_dt / step
+        if ratio > MAX_SUBSTEPS:
+            raise ValueError(
+                f"dt = {step:g}: {ratio:.3g} steps in control_dt = {control_dt:g} s, at most {MAX_SUBSTEPS}"
+            )
+        n_substeps = round(ratio)
+        if abs(n_substeps * step - control_dt) > DIVISION_TOLERANCE * control_dt:
+            nearest = f"{control_dt / (int(ratio) + 1)!r} and {control_dt / int(ratio)!r}"
+            raise ValueError(
+                f"dt = {step!r}: must divide control_dt = {control_dt!r} s; the nearest that do: {nearest} s"
+            )
+        if dt is None or allow_large_dt:
+            return n_substeps, step
+        limit = min(stable_dt(body, tension, self.splitting) for body in bodies)
+        if step > limit:
+            raise ValueError(f"dt = {step!r}: above the predicted stable {limit:.6g} s; allow_large_dt=True permits it")
+        return n_substeps, step
+
+
+def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+    """Refuse what is none of some names, with a ValueError."""
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"{name} = {value!r}: must be one of {', '.join(choices)}")
+
+
+def resolve_world(world: object, own: Callable[[Lattice], World], lattice: Lattice) -> World:
+    """World as given, or a task's own with what a dict changes of it; anything else is a ValueError."""
+    if isinstance(world, World):
+        return world
+    if world is None or isinstance(world, Mapping):
+        given, around = dict(world or {}), own(lattice)
+        for name, part in vars(around).items():
+            if isinstance(part, Part) and isinstance(given.get(name), Mapping):
+                given[name] = {**asdict(part), **given[name]}
+        return World.from_dict({**vars(around), **given})
+    raise ValueError(f"world = {shown(world)}: must be a World, its dict form or None")
+
+
+def _task(task: str | type[Task] | None, goals_apart: bool) -> type[Task]:
+    """Task as `resolve_task` finds it; where goals are observed apart one that has some."""
+    if task is None:
+        task = "reach" if goals_apart else "peristalsis"
+    kind = resolve_task(task)
+    if goals_apart and not issubclass(kind, GoalTask):
+        having = ", ".join(name for name, known in TASKS.items() if issubclass(known, GoalTask))
+        raise ValueError(f"task = {shown(task)}: has no goals; those that do: {having}")
+    return kind
+
+
+def _design(design: object, own: Mapping[str, Any]) -> LatticeDesign:
+    if isinstance(design, LatticeDesign):
+        return design
+    if design is None or isinstance(design, Mapping):
+        return LatticeDesign.from_dict({**own, **(design or {})})
+    raise ValueError(f"design = {design!r}: must be a LatticeDesign, its dict form or None")
+
+
+def _number(name: str, value: object, low: float, high: float, unit: str) -> float:
+    """Positive number within bounds."""
+    if is_number(value) and value > 0.0 and low <= value <= high:
+        return float(value)
+    raise ValueError(f"{name} = {value!r}: must be a number from {low:g} to {high:g} [{unit}], and not 0")
