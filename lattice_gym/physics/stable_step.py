@@ -38,8 +38,13 @@ N_LANCZOS = 80
 
 _MAX_ROUNDS = 100
 _ROUND_TOLERANCE = 2e-3
+"""Rounds of the step that dampers and dashpots depend on, at most, and the share of growth at which they end."""
+
 _MAX_EXPONENT = 500.0
+"""Damping over a step, c dt / m, beyond which a mass would overflow; it holds still long before."""
+
 _FROZEN = 50.0
+"""Damping over a step, in all that moves, beyond which PyElastica's splitting leaves nothing to grow."""
 
 
 def stable_dt(model: RodModel, max_tension: float = 0.0, splitting: Splitting = "pyelastica") -> float:
