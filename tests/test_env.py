@@ -604,7 +604,7 @@ def test_steps_need_a_reset() -> None:
         ({"muscles": {"muscles": [{"orientation": "custom", "start": 0, "end": 54}]}}, r"^muscles: site 54"),
         ({"muscles": {"muscles": []}}, r"^muscles"),
         ({"control": "brain"}, r"^control = 'brain'"),
-        ({"control": [0, 1]}, r"^control has 2 entries"),
+        ({"control": [0, 1]}, r"^control = \[0, 1\]: must be a sequence of 90 groups, one for each"),
         ({"control": [0, 2] * 45}, r"^control: group 1 drives no muscle"),
         ({"rhythm": 0.0}, r"^rhythm = 0.0: must be a number from 0 to 10 \[Hz\], and not 0"),
         ({"rhythm": 11.0}, r"^rhythm = 11.0"),
