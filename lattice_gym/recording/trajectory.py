@@ -89,7 +89,7 @@ class Trajectory:
         instance("Trajectory.layout", self.layout, MuscleLayout)
         instance("Trajectory.world", self.world, World)
         resolve_layout(self.layout, build_lattice(self.design))
-        n_frame = np.size(self.time)
+        n_frame = len(array("Trajectory.time", self.time, ("n_frame",)))
         require(n_frame > 0, "Trajectory.time is empty: must hold at least one frame")
         of_frame = _shapes(self.design, self.layout, self.world)
         if self.bolus is None:

@@ -164,13 +164,8 @@ class Renderer:
         else:
             shown = array("view", view, ("n", 3))
             require(len(shown) > 0, "view is empty: must hold at least one point")
-        self.size, self._lattice, self._model, self._n_marker, self._bare = (
-            (width, height),
-            lattice,
-            model,
-            n_marker,
-            bare,
-        )
+        self.size, self._n_marker, self._bare = (width, height), n_marker, bare
+        self._lattice, self._model = lattice, model
         self._plotter = _plotter([SUPERSAMPLE * width, SUPERSAMPLE * height])
         muscles = set(model.muscles)
         structure = [rod for rod in range(model.n_rod) if rod not in muscles]
@@ -224,11 +219,10 @@ class Renderer:
         text to print, the place of the ball (n_bolus, 3) [m], by default where it starts, and places to mark
         (n_marker, 3) [m]. Wrong shapes and numbers that are not finite are a ValueError.
         """
-        model, n_muscle = self._model, self._model.n_muscle
+        model = self._model
         x = array("position", position, (model.n_node, 3))
-        a = array(
-            "activation", np.zeros(n_muscle) if activation is None else activation, (n_muscle,), *ACTIVATION_RANGE
-        )
+        relaxed = np.zeros(model.n_muscle)
+        a = array("activation", relaxed if activation is None else activation, relaxed.shape, *ACTIVATION_RANGE)
         centre = array("bolus", model.rest_state().bolus_position if bolus is None else bolus, (model.n_bolus, 3))
         marked = array("markers", np.empty((0, 3)) if markers is None else markers, (self._n_marker, 3))
         self._move(self._rods, x, rgb(colours.ROD))
@@ -322,7 +316,7 @@ class Renderer:
         self._depth = low[2], high[2]
 
     def _move(self, part: Tubes | Balls, places: FloatArray, colour: FloatArray, haze: float = HAZE) -> None:
-        """Move a part, and colour its equal pieces, one each (n, 3) or one for all (3,), 0 to 255, paler at the back."""
+        """Move a part and colour its n equal pieces, shape (n, 3) or (3,) for all, 0 to 255, paler towards the back."""
         part.update(places)
         depth = np.asarray(part.mesh.points) @ self._back
         pale = haze * np.clip((self._depth[1] - depth) / (self._depth[1] - self._depth[0]), 0.0, 1.0)

@@ -125,9 +125,8 @@ def _gif(path: Path, size: tuple[int, int], rate: float) -> Iterator[Callable[[P
     some = image.fromarray(np.concatenate(pictures[:: max(1, len(pictures) // 4)]))
     palette = some.quantize(96, image.Quantize.FASTOCTREE)
     few = [frame.quantize(palette=palette, dither=0) for frame in frames]
-    few[0].save(
-        path, format="GIF", save_all=True, append_images=few[1:], duration=gif_durations(len(few), rate), loop=0
-    )
+    durations = gif_durations(len(few), rate)
+    few[0].save(path, format="GIF", save_all=True, append_images=few[1:], duration=durations, loop=0)
 
 
 def gif_durations(count: int, rate: float) -> list[int]:
