@@ -124,6 +124,13 @@ def test_default_lattice() -> None:
     np.testing.assert_array_equal(even, np.broadcast_to(even[0], even.shape))
 
 
+def test_it_is_shown_in_one_line() -> None:
+    """Counts, not arrays."""
+    assert repr(build_lattice(LatticeDesign())) == "Lattice(6 pairs, 12 rods of 41 nodes, 54 sites, 9 levels)"
+    uneven = build_lattice(LatticeDesign(n_pairs=3, phases=(0.0, 1.0, 3.0) * 2, period_ratio=2.0))
+    assert repr(uneven) == "Lattice(3 pairs, 6 rods of 16 nodes, 12 sites, no levels)"
+
+
 def test_arrays_are_read_only() -> None:
     """No caller can change a lattice that others hold."""
     lattice = build_lattice(LatticeDesign())

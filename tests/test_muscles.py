@@ -207,6 +207,14 @@ def test_select_and_switch() -> None:
     assert some.switched(~some.select(LATTICE, "vertical")).active == horizontal(LATTICE).active
 
 
+def test_a_layout_is_shown_in_one_line() -> None:
+    """How many of its muscles are on, and of which kinds."""
+    layout = named_layout("all", LATTICE)
+    assert repr(layout) == "MuscleLayout(90 of 90 muscles on: 48 horizontal, 42 vertical)"
+    assert repr(layout.switched(layout.select(LATTICE, "vertical"))) == "MuscleLayout(42 of 90 muscles on: 42 vertical)"
+    assert repr(MuscleLayout()) == "MuscleLayout(0 of 0 muscles on)"
+
+
 @pytest.mark.parametrize("mask", [[True], np.ones(90), np.ones((90, 1), dtype=bool), True, "yes"])
 def test_mask_is_checked(mask: Any) -> None:
     """One bool a muscle."""
