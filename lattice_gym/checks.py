@@ -1,12 +1,20 @@
-"""Array types, and the checks that turn what a caller gives into what it is, or into a ValueError that names it."""
+"""Array types, and the one way in which arguments are checked.
+
+A check takes an argument's name and what was given for it. It returns a plain number, text, bool, tuple or array, or
+raises a ValueError like "LatticeDesign.height = -1: must be a number from 1e-06 to 1000 [m]".
+`Parameters` is the base of dataclasses whose fields declare their checks.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Collection, Iterable, Mapping, Set
+from contextlib import suppress
+from dataclasses import dataclass, field, fields
+from functools import partial
+from math import inf
 from numbers import Integral, Real
-from typing import Any, ClassVar, Self, TypeGuard
+from typing import Any, ClassVar, Self, TypeGuard, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,15 +23,241 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 TURN = 2.0 * math.pi
 
-
-def is_number(value: object) -> TypeGuard[float]:
-    """Tell whether a value is a real number; True and False are not."""
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+T = TypeVar("T")
+Text = TypeVar("Text", bound=str)
 
 
 def wrap_angle(angle: FloatArray) -> FloatArray:
     """Angles brought into [-pi, pi) [rad]."""
     return (angle + math.pi) % TURN - math.pi
+
+
+def shown(value: object) -> str:
+    """Repr of a value for a message, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 200 else text[:200] + "..."
+
+
+def refused(name: str, value: object, must: str) -> ValueError:
+    """Return the error to raise for a value: must says what it must be."""
+    return ValueError(f"{name} = {shown(value)}: {must}")
+
+
+def require(condition: bool, message: str) -> None:
+    """Raise ValueError with a message unless the condition holds."""
+    if not condition:
+        raise ValueError(message)
+
+
+def number(
+    name: str, value: object, low: float = -inf, high: float = inf, unit: str = "", *, above: bool = False
+) -> float:
+    """Finite real number from low to high, both included unless it must lie above low; True and False are none."""
+    given = _real(value)
+    if math.isfinite(given) and (low < given if above else low <= given) and given <= high:
+        return given
+    raise refused(name, value, _must_be("number", low, high, unit, above))
+
+
+def whole(name: str, value: object, low: float = -inf, high: float = inf) -> int:
+    """Whole number from low to high; 3.0, as other programs write 3 in JSON, is one, True and False are none."""
+    given = value if isinstance(value, int | np.integer) and not isinstance(value, bool) else _real(value)
+    if (not isinstance(given, float) or given.is_integer()) and low <= (exact := int(given)) <= high:
+        return exact
+    raise refused(name, value, _must_be("whole number", low, high))
+
+
+def choice(name: str, value: object, choices: Iterable[Text], *others: str) -> Text:
+    """One of some texts; others say in words what else the argument takes."""
+    known = tuple(choices)
+    for text in known:
+        if isinstance(value, str) and value == text:
+            return text
+    raise refused(name, value, f"must be one of {', '.join((*known, *others))}")
+
+
+def flag(name: str, value: object) -> bool:
+    """Return True or False; numpy's count too."""
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    raise refused(name, value, "must be True or False")
+
+
+def instance(name: str, value: object, kind: type[T], how: str = "") -> T:
+    """Object of a class; how says in words where to get one."""
+    if isinstance(value, kind):
+        return value
+    raise refused(name, value, f"must be {kind.__name__}{how}")
+
+
+def array(
+    name: str,
+    values: npt.ArrayLike,
+    shape: tuple[int | str, ...] | None = None,
+    low: float = -inf,
+    high: float = inf,
+    unit: str = "",
+    *,
+    above: bool = False,
+    spread: bool = False,
+    dtype: npt.DTypeLike = np.float64,
+) -> npt.NDArray[Any]:
+    """Copy of values as an array of finite numbers, each as `number` takes it.
+
+    A name in the shape stands for any length. With spread, values of fewer axes are repeated to the shape.
+    """
+    try:
+        given = np.asarray(values)
+    except (TypeError, ValueError):
+        given = np.array([None])
+    if given.size and given.dtype.kind not in "fiu":
+        raise refused(name, values, "must be an array of real numbers")
+    with np.errstate(over="ignore"):  # What the type cannot hold becomes infinite, and is refused below.
+        copy = given.astype(dtype) if given.size else np.zeros(given.shape, dtype)
+    if spread:
+        with suppress(ValueError):
+            copy = np.array(np.broadcast_to(copy, [int(length) for length in shape or ()]))
+    if shape is not None and (len(shape) != copy.ndim or any(map(_differ, copy.shape, shape))):
+        wanted = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
+        raise ValueError(f"{name} has shape {copy.shape}: must have {wanted}{', or spread to it' * spread}")
+    sound = np.isfinite(copy)
+    if low > -inf:
+        sound &= copy > low if above else copy >= low
+    if high < inf:
+        sound &= copy <= high
+    if not sound.all():
+        place = tuple(np.argwhere(~sound)[0].tolist())
+        label = f"{name}[{', '.join(map(str, place))}]" if place else name
+        raise refused(label, copy[place].item(), _must_be("number", low, high, unit, above))
+    return copy
+
+
+def items(
+    name: str, values: object, each: Callable[[str, Any], T], count: int | None = None, what: str = "values"
+) -> tuple[T, ...]:
+    """Items of a sequence, each checked under its own name, as many as count says."""
+    sequence = isinstance(values, Iterable) and not isinstance(values, str | bytes | type | Mapping)
+    # Where their number is fixed each has its place, and a set has no order.
+    ordered = count is None or not isinstance(values, Set)
+    if sequence and ordered and getattr(values, "ndim", 1) > 0:
+        given: tuple[Any, ...] = tuple(values)  # type: ignore[arg-type]
+        if count is None or len(given) == count:
+            return tuple(each(f"{name}[{k}]", value) for k, value in enumerate(given))
+    raise refused(name, values, f"must be a sequence of {what if count is None else f'{count} {what}'}")
+
+
+def names(name: str, values: object, known: Collection[str], what: str = "values") -> Mapping[str, Any]:
+    """Return a mapping of which every name is known."""
+    if not isinstance(values, Mapping):
+        raise refused(name, values, f"must be a mapping of names to {what}")
+    for given in values:
+        if given not in known:
+            raise ValueError(f"{name}: there is no {shown(given)}; there are {', '.join(known)}")
+    return values
+
+
+def optional(check: Callable[..., T], name: str, value: object, *bounds: Any, **options: Any) -> T | None:
+    """None, or what a check takes."""
+    if value is None:
+        return None
+    try:
+        return check(name, value, *bounds, **options)
+    except ValueError as error:
+        raise ValueError(f"{error}, or None") from None
+
+
+def _real(value: object) -> float:
+    """Value as a float; what is no real number, or too large for one, is not finite."""
+    try:
+        return float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
+    except OverflowError:
+        return math.inf
+
+
+def _differ(length: int, wanted: int | str) -> bool:
+    return isinstance(wanted, int) and length != wanted
+
+
+def _must_be(kind: str, low: float, high: float, unit: str = "", above: bool = False) -> str:
+    least, most = (f"{bound:g}" if isinstance(bound, float) else str(bound) for bound in (low, high))
+    if kind == "number" and inf in (-low, high):
+        kind = "finite number"
+    if low == -inf:
+        within = "" if high == inf else f", at most {most}"
+    elif above:
+        within = f" above {least}" + ("" if high == inf else f" and at most {most}")
+    else:
+        within = f", at least {least}" if high == inf else f" from {least} to {most}"
+    return f"must be a {kind}{within}{f' [{unit}]' if unit else ''}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameters:
+    """Values given by name, each checked as its field declares by `real`, `count` or `checked`."""
+
+    def __post_init__(self) -> None:
+        """Check every field that declares how; a subclass goes on with what must hold between them."""
+        for item in fields(self):
+            if "check" in item.metadata:
+                value = item.metadata["check"](self._label(item.name), getattr(self, item.name))
+                object.__setattr__(self, item.name, value)
+
+    @classmethod
+    def _label(cls, name: str) -> str:
+        return f"{cls.__name__}.{name}"
+
+    def _refused(self, name: str, must: str) -> ValueError:
+        return refused(self._label(name), getattr(self, name), must)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields by name as JSON-safe values."""
+        return {item.name: _plain(getattr(self, item.name)) for item in fields(self)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Make it from its fields by name; those that are missing have their defaults."""
+        return cls(**names(cls.__name__, values, [item.name for item in fields(cls)]))
+
+    @classmethod
+    def resolve(cls, name: str, given: object) -> Self | None:
+        """Take an object, its dict form or None."""
+        if given is None or isinstance(given, cls):
+            return given
+        if isinstance(given, Mapping):
+            return cls.from_dict(given)
+        raise refused(name, given, f"must be {cls.__name__}, its dict form or None")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return value.to_dict() if isinstance(value, Parameters) else value
+
+
+def checked(default: Any, check: Callable[..., Any], *, none: bool = False, **bounds: Any) -> Any:
+    """Field of `Parameters` that holds what a check takes within bounds, or None; its metadata holds the bounds."""
+    within = partial(check, **bounds)
+    return field(default=default, metadata={"check": partial(optional, within) if none else within, **bounds})
+
+
+def real(default: float | None, low: float, high: float, unit: str, *, above: bool = False, none: bool = False) -> Any:
+    """Field that holds a `number`."""
+    return checked(default, number, low=low, high=high, unit=unit, above=above, none=none)
+
+
+def count(default: int | None, low: int = 0, high: float = inf, *, none: bool = False) -> Any:
+    """Field that holds a `whole` number."""
+    return checked(default, whole, low=low, high=high, none=none)
+
+
+# What is left of earlier checks, until physics, tasks, envs and agents use those above.
+
+Bounds = dict[str, tuple[float, float, str]]
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Tell whether a value is a real number; True and False are not."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
 def finite_number(value: object) -> float | None:
@@ -58,15 +292,6 @@ def real_array(name: str, values: npt.ArrayLike) -> FloatArray:
     return array
 
 
-def shown(value: object) -> str:
-    """Repr of a value for a message, cut where it is long."""
-    text = repr(value)
-    return text if len(text) <= 200 else text[:200] + "..."
-
-
-Bounds = dict[str, tuple[float, float, str]]
-
-
 def known_fields(kind: type, values: Mapping[str, Any], what: str) -> Mapping[str, Any]:
     """Values whose names are all fields of a kind; anything else is a ValueError."""
     if not isinstance(values, Mapping):
@@ -79,7 +304,7 @@ def known_fields(kind: type, values: Mapping[str, Any], what: str) -> Mapping[st
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class Part(Parameters):
     """Numbers within bounds, given by name; anything else is a ValueError that names the field."""
 
     bounds: ClassVar[Bounds]
@@ -88,6 +313,7 @@ class Part:
     """Numbers that may be None."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, (low, high, unit) in self.bounds.items():
             given = getattr(self, name)
             if given is None and name in self.optional:
@@ -102,12 +328,3 @@ class Part:
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """Make it from its fields by name; those that are missing have their defaults."""
         return cls(**known_fields(cls, values, "numbers"))
-
-    @classmethod
-    def resolve(cls, name: str, given: object) -> Self | None:
-        """Take an object, its dict form or None; anything else is a ValueError of that name."""
-        if given is None or isinstance(given, cls):
-            return given
-        if isinstance(given, Mapping):
-            return cls.from_dict(given)
-        raise ValueError(f"{name} = {shown(given)}: must be {cls.__name__}, its dict form or None")

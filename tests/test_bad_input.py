@@ -208,11 +208,11 @@ FIELDS = {spec.name: spec for spec in fields(LatticeDesign)}
 
 
 def _in_bounds(name: str) -> st.SearchStrategy[Any]:
-    meta = FIELDS[name].metadata
-    if "low" not in meta:
+    bounds = FIELDS[name].metadata
+    if "low" not in bounds:
         return JUNK
-    low, high = meta["low"], meta["high"]
-    if meta["unit"] is None:
+    low, high = bounds["low"], bounds["high"]
+    if "unit" not in bounds:
         return st.integers(low, min(high, 40))
     return st.one_of(st.floats(low, high), st.sampled_from([low, high, np.nextafter(low, -1), np.nextafter(high, 1e9)]))
 

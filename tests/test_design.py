@@ -44,7 +44,7 @@ def test_defaults_are_the_papers_table_1() -> None:
 
 def test_error_says_field_value_and_bound() -> None:
     """The message is fit to be shown as it is."""
-    expected = "LatticeDesign.height = -1.0: must be positive [m], from 1e-06 to 1000"
+    expected = "LatticeDesign.height = -1.0: must be a number from 1e-06 to 1000 [m]"
     with pytest.raises(ValueError, match=f"^{re.escape(expected)}$"):
         LatticeDesign(height=-1.0)
 
@@ -88,21 +88,21 @@ def test_numbers_are_normalised() -> None:
 @pytest.mark.parametrize("base", ["pinned", None, 1])
 def test_base_choices(base: Any) -> None:
     """Only clamped and free bases exist."""
-    with pytest.raises(ValueError, match=r'LatticeDesign\.base = .*"clamped" or "free"'):
+    with pytest.raises(ValueError, match=r"LatticeDesign\.base = .*: must be one of clamped, free$"):
         LatticeDesign(base=base)
 
 
 @pytest.mark.parametrize("chirality", [[1] * 12, [1, -1], [1, 0] * 6, [True, -1] * 6, "+-" * 6, 1, [1.5, -1] * 6])
 def test_chirality_is_checked(chirality: Any) -> None:
     """As many of each, one a rod, nothing but +1 and -1."""
-    with pytest.raises(ValueError, match=r"LatticeDesign\.chirality = "):
+    with pytest.raises(ValueError, match=r"LatticeDesign\.chirality(\[\d+\])? = "):
         LatticeDesign(chirality=chirality)
 
 
 @pytest.mark.parametrize("phases", [[0.0], "abcdefghijkl", 3, [math.nan] * 12, [None] * 12, [[0.0]] * 12, [1e4] * 12])
 def test_phases_are_checked(phases: Any) -> None:
     """One finite number of moderate size a rod."""
-    with pytest.raises(ValueError, match=r"LatticeDesign\.phases = "):
+    with pytest.raises(ValueError, match=r"LatticeDesign\.phases(\[\d+\])? = "):
         LatticeDesign(phases=phases)
 
 
@@ -306,5 +306,5 @@ def test_damaged_json(text: str) -> None:
 
 def test_unknown_field_names_the_known_ones() -> None:
     """A misspelt field is not dropped."""
-    with pytest.raises(ValueError, match="no field 'heigth'; its fields are height, diameter"):
+    with pytest.raises(ValueError, match=r"^LatticeDesign: there is no 'heigth'; there are height, diameter"):
         LatticeDesign.from_dict({"heigth": 0.1})

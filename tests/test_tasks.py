@@ -430,13 +430,17 @@ def test_bounds_of_commands_are_reached(height: float) -> None:
         with pytest.raises(ValueError, match=rf"^command\['{name}'\]"):
             TASKS["peristalsis"](lattice, 0.05, rest | {name: outwards * value})
     for azimuth in (2 * np.pi, -2 * np.pi):
-        TASKS["bending"](lattice, 0.05, {"azimuth": azimuth})
+        task = make_task("bending", lattice, 0.05, {"azimuth": azimuth})
+        task.begin(np.random.default_rng(0), {})
+        assert task.command == {"azimuth": azimuth}
 
 
 @pytest.mark.parametrize("command", [{"speed": 0.01, "wavelength": 0.1}, {"wavelength": 0.0375, "speed": 0.1}])
 def test_bounds_of_the_default_design(command: dict[str, float]) -> None:
     """A tenth of a height a second, and three level spacings."""
-    TASKS["peristalsis"](LATTICE, 0.05, command)
+    task = make_task("peristalsis", LATTICE, 0.05, command)
+    task.begin(np.random.default_rng(0), {})
+    assert {name: task.command[name] for name in command} == command
 
 
 def test_a_free_body_is_not_paid_for_tilting() -> None:

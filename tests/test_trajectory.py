@@ -126,14 +126,14 @@ def test_file_reads_without_pickle_or_this_package(saved: tuple[Path, Trajectory
         ("position", np.full((3, N_NODE, 3), np.inf), "finite"),
         ("position", np.full((3, N_NODE, 3), 1e300), "finite"),
         ("position", "here", "array of real numbers"),
-        ("activation", np.full((3, len(LAYOUT)), 1.01), "must lie in"),
-        ("activation", np.full((3, len(LAYOUT)), -0.01), "must lie in"),
+        ("activation", np.full((3, len(LAYOUT)), 1.01), "must be a number from"),
+        ("activation", np.full((3, len(LAYOUT)), -0.01), "must be a number from"),
         ("activation", np.zeros((3, len(LAYOUT) + 1)), "shape"),
         ("reward", np.array([0.0, np.nan, 0.0]), "finite"),
         ("outcome", ("", ""), "one a frame"),
-        ("outcome", ("", "", 3), "must be text"),
+        ("outcome", ("", "", 3), r"\[2\] = 3: must be text"),
         ("task", None, "must be text"),
-        ("world", {}, "must be a World"),
+        ("world", {}, "must be World"),
         ("bolus", np.zeros((3, 1, 3)), "has shape"),
         ("markers", np.zeros(3), "has shape"),
         ("markers", np.full((1, 3), np.nan), "finite"),
@@ -202,7 +202,7 @@ def test_a_ball_is_kept(tmp_path: Path) -> None:
     assert again.world.bolus == Bolus(radius=0.01)
     assert again.bolus is not None
     np.testing.assert_array_equal(again.bolus[:, 0, 2], [0.0, 0.5])
-    with pytest.raises(ValueError, match=r"^Trajectory.world = 'sea'"):
+    with pytest.raises(ValueError, match=r"^Trajectory\.world = 'sea': must be World"):
         Recorder(DESIGN, LAYOUT, "transport", "sea")  # type: ignore[arg-type]
 
 
@@ -228,7 +228,7 @@ def test_recorder_refuses_a_frame_of_another_shape_or_not_finite() -> None:
     recorder = Recorder(DESIGN, LAYOUT, "bending")
     with pytest.raises(ValueError, match="position has shape"):
         recorder.append(0.0, np.zeros((3, N_NODE)), np.zeros(len(LAYOUT)))
-    with pytest.raises(ValueError, match="activation: must be finite"):
+    with pytest.raises(ValueError, match=r"^activation\[0\] = nan: must be a number from"):
         recorder.append(0.0, np.zeros((N_NODE, 3)), np.full(len(LAYOUT), np.nan))
     assert len(recorder) == 0
 
@@ -369,3 +369,10 @@ def test_save_replaces(saved: tuple[Path, Trajectory], tmp_path: Path) -> None:
     second = example(layout=replace(LAYOUT), task="other")
     second.save(path)
     assert_same(Trajectory.load(path), second)
+
+
+def test_it_says_what_it_holds() -> None:
+    """In one line."""
+    text = repr(example(world=World(bolus=Bolus(radius=0.01)), bolus=np.zeros((3, 1, 3))))
+    counts = f"{N_NODE} nodes, {len(LAYOUT)} muscles, a ball, 0 markers"
+    assert text == f"Trajectory(extension: 3 frames from 0 to 0.666667 s, {counts})"

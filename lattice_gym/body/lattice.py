@@ -44,6 +44,10 @@ class Lattice:
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
 
+    def __repr__(self) -> str:
+        rods = f"{self.design.n_pairs} pairs, {self.n_rod} rods of {self.n_node} nodes"
+        return f"Lattice({rods}, {self.n_site} sites, {self.n_level or 'no'} levels)"
+
     @property
     def n_rod(self) -> int:
         """Number of structure rods."""

@@ -3,31 +3,41 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from numbers import Integral
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
-from lattice_gym.checks import TURN, FloatArray, IntArray, finite_number, shown, wrap_angle
+from lattice_gym.checks import (
+    TURN,
+    FloatArray,
+    IntArray,
+    choice,
+    flag,
+    instance,
+    items,
+    number,
+    refused,
+    require,
+    whole,
+    wrap_angle,
+)
 
 ORIENTATIONS = ("horizontal", "vertical", "custom")
 CONTROLS = ("muscle", "ring", "column")
 LAYOUTS = ("extension", "compression", "bending", "all")
-# Azimuths closer than this are one: far above rounding, far below the angle between two sites [rad].
 AZIMUTH_TOLERANCE = 1e-6
-# The bending layout: vertical muscles shorten the side the worm bends to, rings on the other side lengthen that one.
-BENDING_VERTICAL_HALF_WIDTH = math.radians(30.0)
-BENDING_HORIZONTAL_HALF_WIDTH = math.radians(60.0)
+"""Azimuths closer than this are one [rad]: far above rounding, far below the angle between two sites."""
+BENDING_VERTICAL_HALF_WIDTH, BENDING_HORIZONTAL_HALF_WIDTH = math.radians(30.0), math.radians(60.0)
+"""Half widths of the sectors of the bending layout [rad].
 
-
-def _index(name: str, value: object) -> int:
-    if isinstance(value, Integral) and not isinstance(value, bool) and (index := int(value)) >= 0:
-        return index
-    raise ValueError(f"{name} = {shown(value)}: must be a whole number, 0 or more")
+Vertical muscles shorten the side that the worm bends to, rings on the other side lengthen that one.
+"""
 
 
 @dataclass(frozen=True)
@@ -41,14 +51,12 @@ class Muscle:
 
     def __post_init__(self) -> None:
         """Check what can be checked without a lattice."""
-        if not isinstance(self.orientation, str) or self.orientation not in ORIENTATIONS:
-            raise ValueError(f"Muscle.orientation = {self.orientation!r}: must be one of {', '.join(ORIENTATIONS)}")
-        object.__setattr__(self, "start", _index("Muscle.start", self.start))
-        object.__setattr__(self, "end", _index("Muscle.end", self.end))
+        object.__setattr__(self, "orientation", choice("Muscle.orientation", self.orientation, ORIENTATIONS))
+        object.__setattr__(self, "start", whole("Muscle.start", self.start, 0))
+        object.__setattr__(self, "end", whole("Muscle.end", self.end, 0))
         if self.start == self.end:
-            raise ValueError(f"Muscle.end = {self.end}: must differ from start, or the muscle has no length")
-        if not isinstance(self.on, bool):
-            raise ValueError(f"Muscle.on = {self.on!r}: must be True or False")
+            raise refused("Muscle.end", self.end, "must differ from start, or the muscle has no length")
+        object.__setattr__(self, "on", flag("Muscle.on", self.on))
 
     @property
     def sites(self) -> frozenset[int]:
@@ -64,16 +72,18 @@ class MuscleLayout:
 
     def __post_init__(self) -> None:
         """Refuse what is no muscle and a second muscle between the same two sites."""
-        object.__setattr__(self, "muscles", tuple(_each("MuscleLayout.muscles", self.muscles)))
+        object.__setattr__(self, "muscles", items("MuscleLayout.muscles", self.muscles, _muscle, what="Muscle"))
         seen = set()
         for muscle in self.muscles:
-            if not isinstance(muscle, Muscle):
-                raise ValueError(f"MuscleLayout.muscles holds {muscle!r}: must be Muscle objects")
             if muscle.sites in seen:
-                raise ValueError(
-                    f"MuscleLayout.muscles: more than one muscle ties sites {muscle.start} and {muscle.end}"
-                )
+                tied = f"sites {muscle.start} and {muscle.end}"
+                raise ValueError(f"MuscleLayout.muscles: more than one muscle ties {tied}; leave one out")
             seen.add(muscle.sites)
+
+    def __repr__(self) -> str:
+        kinds = Counter(muscle.orientation for muscle in self.active)
+        listed = ", ".join(f"{kinds[kind]} {kind}" for kind in ORIENTATIONS if kinds[kind])
+        return f"MuscleLayout({len(self)} of {len(self.muscles)} muscles on{': ' if listed else ''}{listed})"
 
     @property
     def active(self) -> tuple[Muscle, ...]:
@@ -102,28 +112,25 @@ class MuscleLayout:
         """
         mask = np.ones(len(self.muscles), dtype=np.bool_)
         if orientation is not None:
-            if not isinstance(orientation, str) or orientation not in ORIENTATIONS:
-                raise ValueError(f"orientation = {orientation!r}: must be one of {', '.join(ORIENTATIONS)}")
-            mask &= np.array([muscle.orientation == orientation for muscle in self.muscles], dtype=np.bool_)
+            kind = choice("orientation", orientation, ORIENTATIONS)
+            mask &= np.array([muscle.orientation == kind for muscle in self.muscles], dtype=np.bool_)
         sites = _sites(self.muscles, lattice)
         if levels is not None:
             _need_levels("levels", lattice)
             mask &= np.isin(lattice.site_level[sites].min(axis=1), _levels("levels", levels, lattice))
         if azimuth is not None:
-            centre, half_width = (_number("azimuth", value) for value in _pair("azimuth", azimuth))
+            centre, half_width = items("azimuth", azimuth, _angle, 2, "angles [rad]: centre and half width")
             if half_width < 0.0:
-                raise ValueError(f"azimuth = {azimuth!r}: the half width must not be negative [rad]")
+                raise refused("azimuth", azimuth, "the half width must not be negative [rad]")
             apart = np.abs(wrap_angle(lattice.site_azimuth[sites] - centre))
             mask &= np.all(apart <= half_width + AZIMUTH_TOLERANCE, axis=1)
         return mask
 
     def switched(self, mask: npt.ArrayLike) -> MuscleLayout:
         """Layout with exactly the masked muscles on; mask: bool, shape (len(muscles),)."""
-        on = np.asarray(mask)
-        if on.dtype != np.bool_ or on.shape != (len(self.muscles),):
-            raise ValueError(
-                f"mask of {on.dtype} with shape {on.shape}: must be bool with shape ({len(self.muscles)},)"
-            )
+        on, shape = np.asarray(mask), (len(self.muscles),)
+        if on.dtype != np.bool_ or on.shape != shape:
+            raise ValueError(f"mask of {on.dtype} with shape {on.shape}: must be bool with shape {shape}")
         return MuscleLayout(tuple(replace(muscle, on=bool(k)) for muscle, k in zip(self.muscles, on, strict=True)))
 
     def to_dict(self) -> dict[str, Any]:
@@ -133,15 +140,20 @@ class MuscleLayout:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> MuscleLayout:
         """Layout from its dict form."""
-        if not isinstance(values, Mapping) or set(values) != {"muscles"} or not isinstance(values["muscles"], Sequence):
-            raise ValueError(f'muscles = {values!r}: a layout as a mapping must be {{"muscles": [...]}}')
-        muscles = []
-        for entry in values["muscles"]:
-            try:
-                muscles.append(Muscle(**entry))
-            except TypeError:
-                raise ValueError(f"muscles holds {entry!r}: must be a mapping of orientation, start, end, on") from None
-        return cls(tuple(muscles))
+        if not isinstance(values, Mapping) or set(values) != {"muscles"}:
+            raise refused("muscles", values, 'a layout as a mapping must be {"muscles": [...]}')
+        return cls(items("muscles", values["muscles"], _muscle_of, what="mappings"))
+
+
+def _muscle(name: str, value: object) -> Muscle:
+    return instance(name, value, Muscle)
+
+
+def _muscle_of(name: str, value: Any) -> Muscle:
+    try:
+        return Muscle(**value)
+    except TypeError:
+        raise refused(name, value, "must be a mapping of orientation, start, end, on") from None
 
 
 def horizontal(lattice: Lattice, levels: Iterable[int] | None = None) -> MuscleLayout:
@@ -163,13 +175,12 @@ def vertical(lattice: Lattice, span: int = 2) -> MuscleLayout:
     """
     _need_levels("vertical", lattice)
     highest = lattice.n_level - 1
-    if _index("span", span) % 2 or not 2 <= span <= highest:
-        raise ValueError(
-            f"span = {span}: a vertical muscle spans an even number of levels, from 2 to the {highest} there are"
-        )
+    if (levels := whole("span", span)) % 2 or not 2 <= levels <= highest:
+        must = f"a vertical muscle spans an even number of levels, from 2 to the {highest} there are"
+        raise refused("span", span, must)
     muscles: list[Muscle] = []
-    for level in range(lattice.n_level - span):
-        lower, upper = (np.flatnonzero(lattice.site_level == at) for at in (level, level + span))
+    for level in range(lattice.n_level - levels):
+        lower, upper = (np.flatnonzero(lattice.site_level == at) for at in (level, level + levels))
         apart = np.abs(wrap_angle(lattice.site_azimuth[lower][:, None] - lattice.site_azimuth[upper]))
         ends = upper[apart.argmin(axis=1)]
         muscles += [Muscle("vertical", int(low), int(high)) for low, high in zip(lower, ends, strict=True)]
@@ -178,13 +189,14 @@ def vertical(lattice: Lattice, span: int = 2) -> MuscleLayout:
 
 def tie(lattice: Lattice, pairs: Iterable[tuple[int, int]]) -> MuscleLayout:
     """Make custom muscles between pairs of sites."""
-    muscles = (Muscle("custom", *_pair("pairs", pair)) for pair in _each("pairs", pairs))
-    return resolve_layout(MuscleLayout(tuple(muscles)), lattice)
+    pair = partial(items, each=partial(whole, low=0), count=2, what="sites")
+    tied = items("pairs", pairs, pair, what="pairs of sites")
+    return resolve_layout(MuscleLayout(tuple(Muscle("custom", start, end) for start, end in tied)), lattice)
 
 
 def bending_layout(lattice: Lattice, azimuth: float = 0.0) -> MuscleLayout:
     """Muscles that bend the worm towards an azimuth [rad], symmetric about the plane through it."""
-    towards = (_number("azimuth", azimuth), BENDING_VERTICAL_HALF_WIDTH)
+    towards = (_angle("azimuth", azimuth), BENDING_VERTICAL_HALF_WIDTH)
     away = (towards[0] + math.pi, BENDING_HORIZONTAL_HALF_WIDTH)
     layout = horizontal(lattice) | vertical(lattice)
     mask = layout.select(lattice, "vertical", azimuth=towards) | layout.select(lattice, "horizontal", azimuth=away)
@@ -193,9 +205,7 @@ def bending_layout(lattice: Lattice, azimuth: float = 0.0) -> MuscleLayout:
 
 def named_layout(name: str, lattice: Lattice) -> MuscleLayout:
     """Layout by name: "extension" (rings), "compression" (vertical), "bending" or "all" (rings and vertical)."""
-    if not isinstance(name, str) or name not in LAYOUTS:
-        choices = f"{', '.join(LAYOUTS)}, a MuscleLayout or its dict form"
-        raise ValueError(f"muscles = {shown(name)}: must be one of {choices}")
+    name = choice("muscles", name, LAYOUTS, "a MuscleLayout or its dict form")
     if name == "extension":
         return horizontal(lattice)
     if name == "compression":
@@ -230,69 +240,40 @@ def control_groups(control: str | Sequence[int] | IntArray, layout: MuscleLayout
     (of the muscle's middle) and orientation. Or any partition: the group of each active muscle, every group used.
     """
     muscles = layout.active
-    if not muscles:
-        raise ValueError("muscles: at least one muscle must be on to be controlled")
+    require(len(muscles) > 0, "muscles: at least one muscle must be on to be controlled")
     if not isinstance(control, str):
         return _partition(control, len(muscles))
-    if control not in CONTROLS:
-        raise ValueError(f"control = {control!r}: must be one of {', '.join(CONTROLS)} or a sequence of groups")
+    control = choice("control", control, CONTROLS, "a sequence of groups")
     if control == "muscle":
         return np.arange(len(muscles), dtype=np.int64)
     sites = _sites(muscles, lattice)
     orientation = np.array([ORIENTATIONS.index(muscle.orientation) for muscle in muscles])
     if control == "ring":
-        if lattice.n_level == 0:
-            raise ValueError(
-                'control = "ring": the lattice has uneven phases and no levels; choose "muscle" or "column"'
-            )
+        no_levels = 'control = "ring": the lattice has uneven phases and no levels; choose "muscle" or "column"'
+        require(lattice.n_level > 0, no_levels)
         place = lattice.site_level[sites].min(axis=1)
     else:
         place = _columns(lattice.site_azimuth[sites])
     return np.unique(np.stack([orientation, place], axis=1), axis=0, return_inverse=True)[1].astype(np.int64)
 
 
-def _number(name: str, value: object) -> float:
-    number = finite_number(value)
-    if number is None:
-        raise ValueError(f"{name} = {shown(value)}: must be a finite number [rad]")
-    return number
-
-
-def _each(name: str, values: Iterable[Any]) -> Iterable[Any]:
-    if isinstance(values, Iterable) and not isinstance(values, str | bytes | type) and getattr(values, "ndim", 1) > 0:
-        return values
-    raise ValueError(f"{name} = {shown(values)}: must be a sequence")
-
-
-def _pair(name: str, value: Sequence[Any]) -> tuple[Any, Any]:
-    if (
-        isinstance(value, Sequence | np.ndarray)
-        and not isinstance(value, str)
-        and getattr(value, "ndim", 1) > 0
-        and len(value) == 2
-    ):
-        return value[0], value[1]
-    raise ValueError(f"{name}: {shown(value)} must be a pair")
+_angle = partial(number, unit="rad")
 
 
 def _need_lattice(lattice: Lattice) -> None:
-    if not isinstance(lattice, Lattice):
-        raise ValueError(f"lattice = {shown(lattice)}: must be a Lattice, such as build_lattice(design) gives")
+    instance("lattice", lattice, Lattice, ", such as build_lattice(design) gives")
 
 
 def _need_levels(name: str, lattice: Lattice) -> None:
     _need_lattice(lattice)
-    if lattice.n_level == 0:
-        raise ValueError(f"{name}: a lattice with uneven phases has no levels; tie its sites by hand with tie()")
+    no_levels = f"{name}: a lattice with uneven phases has no levels; tie its sites by hand with tie()"
+    require(lattice.n_level > 0, no_levels)
 
 
 def _levels(name: str, levels: Iterable[int], lattice: Lattice) -> list[int]:
     """Levels without repetition, each one of the lattice's."""
-    checked = list(dict.fromkeys(_index(name, level) for level in _each(name, levels)))
-    for level in checked:
-        if level >= lattice.n_level:
-            raise ValueError(f"{name} holds {level}: the lattice has levels 0 to {lattice.n_level - 1}")
-    return checked
+    given = items(name, levels, partial(whole, low=0, high=lattice.n_level - 1), what="levels")
+    return list(dict.fromkeys(given))
 
 
 def _sites(muscles: Sequence[Muscle], lattice: Lattice) -> IntArray:
@@ -305,11 +286,8 @@ def _sites(muscles: Sequence[Muscle], lattice: Lattice) -> IntArray:
 
 
 def _partition(control: Sequence[int] | IntArray, n_muscle: int) -> IntArray:
-    groups = [_index("control", group) for group in _each("control", control)]
-    if len(groups) != n_muscle:
-        raise ValueError(f"control has {len(groups)} entries: must have one for each of the {n_muscle} active muscles")
-    used = sorted(set(groups))
-    unused = [expected for expected, group in enumerate(used) if expected != group]
+    groups = items("control", control, partial(whole, low=0), n_muscle, "groups, one for each active muscle")
+    unused = [expected for expected, group in enumerate(sorted(set(groups))) if expected != group]
     if unused:
         raise ValueError(f"control: group {unused[0]} drives no muscle; groups must be 0 to n - 1, each used")
     return np.array(groups, dtype=np.int64)

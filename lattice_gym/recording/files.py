@@ -12,9 +12,9 @@ from pathlib import Path
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary path of the same folder and suffix, renamed to path at the end or deleted on an exception.
+    """Give a temporary path to write a file or a folder at, in the folder of `path` and with its suffix.
 
-    It may become a file or a folder.
+    It takes the place of `path` when the body ends, and is deleted when the body raises. Missing folders are made.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)

@@ -16,15 +16,14 @@ import numpy.typing as npt
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import MuscleLayout, resolve_layout
-from lattice_gym.checks import FloatArray, finite_number, real_array, shown
+from lattice_gym.checks import FloatArray, array, instance, items, number, refused, require
 from lattice_gym.physics.world import World
 from lattice_gym.recording.files import replacing
 
 FORMAT = "lattice_gym trajectory"
-VERSION = 3
-OLD_VERSION = 2
-"""Without markers."""
-ARRAYS = {
+VERSION, UNMARKED_VERSION = 3, 2
+"""Version of the format that is written, and the one before, which has no markers and is read too."""
+ARRAYS: dict[str, npt.DTypeLike] = {
     "time": np.float64,
     "position": np.float32,
     "bolus": np.float32,
@@ -32,10 +31,12 @@ ARRAYS = {
     "reward": np.float64,
     "markers": np.float32,
 }
+"""Arrays of a file, and the type of their numbers."""
 META = ("format", "version", "task", "outcome", "design", "layout", "world")
+"""What a file says beside its arrays, as one JSON text."""
+ACTIVATION_RANGE = (-1e-6, 1.0 + 1e-6)
+"""Bounds of activations: [0, 1] and what rounding to float32 adds."""
 Frame = npt.NDArray[np.float32]
-# Activations may leave [0, 1] by no more than rounding to float32.
-ACTIVATION_TOLERANCE = 1e-6
 
 
 def n_nodes(design: LatticeDesign, layout: MuscleLayout) -> int:
@@ -45,80 +46,73 @@ def n_nodes(design: LatticeDesign, layout: MuscleLayout) -> int:
     return design.n_rod * per_rod + len(layout) * per_muscle
 
 
-def n_bolus(world: World) -> int:
-    """Balls in a world: 0 or 1."""
-    if not isinstance(world, World):
-        raise ValueError(f"Trajectory.world = {shown(world)}: must be a World")
-    return 0 if world.bolus is None else 1
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
-    """Recorded frames of one episode; the arrays are read-only copies.
+    """Recorded frames of one episode, and the worm and the world that they show; the arrays are read-only copies.
 
-    The design and the layout say which nodes form which rod: structure rods first, then the active muscles in order.
-    Wrong shapes, non-finite numbers, times that do not increase and activations outside [0, 1] are a ValueError.
+    Rows of nodes are those of the design's structure rods, one rod after another, then of the layout's active muscles
+    in order; muscles as lines have none.
+
+    Raises
+    ------
+    ValueError
+        A wrong shape or kind, a number that is not finite, times that do not increase, an activation outside [0, 1], a
+        layout of another lattice.
     """
 
     time: FloatArray
     """Times of the frames [s], increasing, shape (n_frame,)."""
-    position: npt.NDArray[np.float32]
+    position: Frame
     """Node positions [m], shape (n_frame, n_node, 3)."""
-    activation: npt.NDArray[np.float32]
+    activation: Frame
     """Activations of the active muscles, in [0, 1], shape (n_frame, n_muscle)."""
     reward: FloatArray
     """Reward of the control step that ended at each frame, shape (n_frame,)."""
     outcome: tuple[str, ...]
     """One line per frame to print in its picture; may be empty."""
     design: LatticeDesign
+    """The worm's."""
     layout: MuscleLayout
+    """Its muscles, on or off."""
     task: str
+    """Name of what was asked of the worm."""
     world: World = field(default_factory=World)
-    bolus: npt.NDArray[np.float32] | None = None
+    """What was around it."""
+    bolus: Frame | None = None
     """Places of the ball [m], shape (n_frame, n_bolus, 3), n_bolus 1 in a world that has one and else 0; None: none."""
-
-    markers: npt.NDArray[np.float32] | None = None
+    markers: Frame | None = None
     """Places that the task asked for [m], to mark in every picture, shape (n_marker, 3); None: none."""
 
     def __post_init__(self) -> None:
         """Check everything against everything else."""
-        if not isinstance(self.design, LatticeDesign) or not isinstance(self.layout, MuscleLayout):
-            name = "layout" if isinstance(self.design, LatticeDesign) else "design"
-            raise ValueError(
-                f"Trajectory.{name} = {shown(getattr(self, name))}: must be a LatticeDesign, a MuscleLayout"
-            )
+        instance("Trajectory.design", self.design, LatticeDesign)
+        instance("Trajectory.layout", self.layout, MuscleLayout)
+        instance("Trajectory.world", self.world, World)
         resolve_layout(self.layout, build_lattice(self.design))
-        n_frame, n_muscle = np.size(self.time), len(self.layout)
-        shapes = {
-            "time": (n_frame,),
-            "position": (n_frame, n_nodes(self.design, self.layout), 3),
-            "bolus": (n_frame, n_bolus(self.world), 3),
-            "activation": (n_frame, n_muscle),
-            "reward": (n_frame,),
-            "markers": (0 if self.markers is None else np.size(self.markers) // 3, 3),
-        }
-        if self.markers is None:
-            object.__setattr__(self, "markers", np.empty((0, 3)))
+        n_frame = len(array("Trajectory.time", self.time, ("n_frame",)))
+        require(n_frame > 0, "Trajectory.time is empty: must hold at least one frame")
+        of_frame = _shapes(self.design, self.layout, self.world)
         if self.bolus is None:
             object.__setattr__(self, "bolus", np.empty((n_frame, 0, 3)))
-        if n_frame == 0:
-            raise ValueError("Trajectory.time is empty: must hold at least one frame")
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, _checked(name, getattr(self, name), shape))
+        if self.markers is None:
+            object.__setattr__(self, "markers", np.empty((0, 3)))
+        for name in ARRAYS:
+            shape = ("n_marker", 3) if name == "markers" else (n_frame, *of_frame[name])
+            values = _checked(f"Trajectory.{name}", getattr(self, name), shape, name)
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
         back = np.flatnonzero(np.diff(self.time) <= 0.0)
         if back.size:
             raise ValueError(f"Trajectory.time: must increase; frame {back[0] + 1} is not later than frame {back[0]}")
-        if n_muscle and np.max(np.abs(self.activation - 0.5)) > 0.5 + ACTIVATION_TOLERANCE:
-            low, high = self.activation.min(), self.activation.max()
-            raise ValueError(f"Trajectory.activation spans {low:g} to {high:g}: must lie in [0, 1]")
-        if not isinstance(self.outcome, tuple | list):
-            raise ValueError(f"Trajectory.outcome = {shown(self.outcome)}: must be a tuple of text, one a frame")
-        object.__setattr__(self, "outcome", tuple(self.outcome))
-        if len(self.outcome) != n_frame:
-            raise ValueError(f"Trajectory.outcome has {len(self.outcome)} lines: must have one a frame, {n_frame}")
-        for name, text in (("task", self.task), *(("outcome", line) for line in self.outcome)):
-            if not isinstance(text, str):
-                raise ValueError(f"Trajectory.{name} holds {text!r}: must be text")
+        _text("Trajectory.task", self.task)
+        lines = items("Trajectory.outcome", self.outcome, _text, n_frame, "lines of text, one a frame")
+        object.__setattr__(self, "outcome", lines)
+
+    def __repr__(self) -> str:
+        span = f"{self.n_frame} frames from {self.time[0]:g} to {self.time[-1]:g} s"
+        worm = f"{self.position.shape[1]} nodes, {len(self.layout)} muscles"
+        marked = 0 if self.markers is None else len(self.markers)
+        return f"Trajectory({self.task}: {span}, {worm}{', a ball' * bool(self.world.bolus)}, {marked} markers)"
 
     @property
     def n_frame(self) -> int:
@@ -126,7 +120,7 @@ class Trajectory:
         return len(self.time)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an .npz file that numpy reads without pickle; replaces a file of that name once it is complete."""
+        """Write an .npz file that numpy reads without pickle; it replaces a file of that name once it is complete."""
         meta = {
             "format": FORMAT,
             "version": VERSION,
@@ -157,17 +151,13 @@ class Trajectory:
 
 
 class Recorder:
-    """Collects frames, then builds the trajectory."""
+    """Collects the frames of an episode of a worm in a world, then builds their trajectory."""
 
     def __init__(self, design: LatticeDesign, layout: MuscleLayout, task: str, world: World | None = None) -> None:
-        self._design, self._layout, self._task = design, layout, task
-        self._world = World() if world is None else world
-        self._shapes = {
-            "position": (n_nodes(design, layout), 3),
-            "activation": (len(layout),),
-            "bolus": (n_bolus(self._world), 3),
-        }
-        self._frames: list[tuple[float, Frame, Frame, float, str, Frame]] = []
+        world = World() if world is None else instance("Trajectory.world", world, World)
+        self._worm: dict[str, Any] = {"design": design, "layout": layout, "task": task, "world": world}
+        self._shapes = _shapes(design, layout, world)
+        self._frames: list[dict[str, Any]] = []
 
     def __len__(self) -> int:
         """Return the number of frames so far."""
@@ -185,64 +175,59 @@ class Recorder:
         """Copy a frame.
 
         Time [s], positions (n_node, 3) [m], activations (n_muscle,), reward, line for the picture, and the place of the
-        ball (n_bolus, 3) [m] in a world that has one.
+        ball (n_bolus, 3) [m] in a world that has one. What is wrong is refused here, with a ValueError, not later.
         """
-        x = _checked("position", position, self._shapes["position"])
-        a = _checked("activation", activation, self._shapes["activation"])
-        b = _checked("bolus", np.empty((0, 3)) if bolus is None else bolus, self._shapes["bolus"])
-        numbers = {"time": finite_number(time), "reward": finite_number(reward)}
-        for name, number in numbers.items():
-            if number is None:
-                raise ValueError(f"{name} = {shown(time if name == 'time' else reward)}: must be a finite number")
-        if not isinstance(outcome, str):
-            raise ValueError(f"outcome = {shown(outcome)}: must be text")
-        self._frames.append((float(time), x, a, float(reward), outcome, b))
+        arrays = {"position": position, "activation": activation, "bolus": np.empty((0, 3)) if bolus is None else bolus}
+        self._frames.append(
+            {
+                "time": number("time", time, unit="s"),
+                "reward": number("reward", reward),
+                "outcome": _text("outcome", outcome),
+                **{name: _checked(name, values, self._shapes[name], name) for name, values in arrays.items()},
+            }
+        )
 
     def build(self, markers: npt.ArrayLike | None = None) -> Trajectory:
         """Trajectory of the frames so far, of which there must be one, with places to mark (n_marker, 3) [m]."""
-        if not self._frames:
-            raise ValueError("Recorder holds no frame: append at least one before build()")
-        time, position, activation, reward, outcome, bolus = zip(*self._frames, strict=True)
+        require(len(self) > 0, "Recorder holds no frame: append at least one before build()")
+        frames = {name: [frame[name] for frame in self._frames] for name in self._frames[0]}
+        outcome = tuple(frames.pop("outcome"))
+        arrays: dict[str, Any] = {name: np.array(values) for name, values in frames.items()}
         return Trajectory(
-            time=np.array(time),
-            position=np.stack(position),
-            activation=np.stack(activation),
-            reward=np.array(reward),
-            outcome=outcome,
-            design=self._design,
-            layout=self._layout,
-            task=self._task,
-            world=self._world,
-            bolus=np.stack(bolus),
-            markers=None if markers is None else np.asarray(markers),
+            **arrays, **self._worm, outcome=outcome, markers=None if markers is None else np.asarray(markers)
         )
 
 
-def _checked(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:
-    """Read-only copy of values as the dtype of a trajectory's array, which must have the shape and be finite."""
-    with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite and is refused below.
-        array = real_array(f"Trajectory.{name}", values).astype(ARRAYS[name])
-    if array.shape != shape:
-        raise ValueError(f"Trajectory.{name} has shape {array.shape}: must have {shape}")
-    if not np.all(np.isfinite(array)):
-        raise ValueError(f"Trajectory.{name}: must be finite")
-    array.setflags(write=False)
-    return array
+def _shapes(design: LatticeDesign, layout: MuscleLayout, world: World) -> dict[str, tuple[int, ...]]:
+    """Shape of what each array holds of one frame."""
+    n_bolus = 0 if world.bolus is None else 1
+    arrays = {"position": (n_nodes(design, layout), 3), "activation": (len(layout),), "bolus": (n_bolus, 3)}
+    return {"time": (), "reward": (), **arrays}
 
 
-def _array(data: bytes) -> npt.NDArray[Any]:
-    return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+def _checked(label: str, values: npt.ArrayLike, shape: tuple[int | str, ...], name: str) -> npt.NDArray[Any]:
+    """Copy of values as a trajectory keeps the array of a name."""
+    bounds = ACTIVATION_RANGE if name == "activation" else ()
+    return array(label, values, shape, *bounds, dtype=ARRAYS[name])
+
+
+def _text(name: str, value: object) -> str:
+    if isinstance(value, str):
+        return value
+    raise refused(name, value, "must be text")
 
 
 def _unpacked(packed: dict[str, bytes]) -> dict[str, Any]:
     """Arguments of Trajectory from the members of its file."""
-    expected, version = {f"{name}.npy" for name in ("meta", *ARRAYS)}, VERSION
+    version, known = VERSION, ["meta", *ARRAYS]
     if "markers.npy" not in packed:
-        expected, version = expected - {"markers.npy"}, OLD_VERSION
+        version = UNMARKED_VERSION
+        known.remove("markers")
+    expected = {f"{name}.npy" for name in known}
     if set(packed) != expected:
         raise ValueError(f"it holds {', '.join(sorted(packed)) or 'nothing'}; must hold {', '.join(sorted(expected))}")
-    members = {name.removesuffix(".npy"): _array(data) for name, data in packed.items()}
-    for name in (name for name in ARRAYS if name in members):
+    members = {name: np.lib.format.read_array(io.BytesIO(packed[f"{name}.npy"]), allow_pickle=False) for name in known}
+    for name in known[1:]:
         if members[name].dtype.kind != "f":
             raise ValueError(f"{name} holds {members[name].dtype}: must hold floating-point numbers")
     text = members.pop("meta")

@@ -12,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice, build_lattice
-from lattice_gym.checks import FloatArray
+from lattice_gym.checks import FloatArray, array, require
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.recording.files import replacing
 from lattice_gym.recording.trajectory import Trajectory
 from lattice_gym.rendering import colours
 from lattice_gym.rendering.colours import activation_colour
 from lattice_gym.rendering.extras import extra
-from lattice_gym.rendering.scene import Renderer, checked
+from lattice_gym.rendering.scene import Renderer
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,9 +49,8 @@ def render_strip(
     stills: Sequence[Still], path: str | os.PathLike[str], size: tuple[int, int] = (640, 840), dpi: int = 200
 ) -> None:
     """Write a PNG of shapes side by side at one scale, each of the size [pixels], with a scale and a colour bar."""
-    if not stills:
-        raise ValueError("stills is empty: a strip shows at least one")
-    view = np.concatenate([checked("position", still.position, (still.model.n_node, 3)) for still in stills])
+    require(len(stills) > 0, "stills is empty: a strip shows at least one")
+    view = np.concatenate([array("position", still.position, (still.model.n_node, 3)) for still in stills])
     pictures = []
     for still in stills:
         with Renderer(still.lattice, still.model, size, view=view, bare=True, fine=True) as renderer:
@@ -66,7 +65,7 @@ def render_strip(
         axes.imshow(picture)
         axes.set_axis_off()
         axes.set_title(still.title, fontsize=10, color=colours.TEXT, pad=4)
-    length = _round_length(0.3 * size[0] / scale)
+    length = round_length(0.3 * size[0] / scale)
     left, right = 0.12 / across, (0.12 + length * scale / dpi) / across
     figure.add_artist(
         extra("matplotlib.lines").Line2D([left, right], [0.1 / up] * 2, color=colours.TEXT, linewidth=1.5)
@@ -78,7 +77,7 @@ def render_strip(
     _save(figure, path, dpi)
 
 
-def _round_length(most: float) -> float:
+def round_length(most: float) -> float:
     """Longest of 1, 2, 5, 10, ... that is no more than most."""
     decade = 10.0 ** math.floor(math.log10(most))
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= most)
@@ -87,8 +86,7 @@ def _round_length(most: float) -> float:
 def plot_activation(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
     """Write a PNG of every muscle's activation over time, the muscles grouped by orientation and lower level."""
     muscles = trajectory.layout.active
-    if not muscles:
-        raise ValueError("trajectory: no muscle is on, so there is no activation to plot")
+    require(len(muscles) > 0, "trajectory: no muscle is on, so there is no activation to plot")
     lattice = build_lattice(trajectory.design)
     kinds = sorted({muscle.orientation for muscle in muscles})
     sites = np.array([(muscle.start, muscle.end) for muscle in muscles])

@@ -8,17 +8,18 @@ import re
 import sys
 import textwrap
 from contextlib import suppress
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
-from lattice_gym.checks import FloatArray
+from lattice_gym.checks import FloatArray, array, items, require, whole
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.measures import top_centre
 from lattice_gym.physics.rod import straight_rod
-from lattice_gym.recording.trajectory import ACTIVATION_TOLERANCE
+from lattice_gym.recording.trajectory import ACTIVATION_RANGE
 from lattice_gym.rendering import colours
 from lattice_gym.rendering.colours import activation_colour, rgb
 from lattice_gym.rendering.extras import extra
@@ -65,7 +66,7 @@ def _plotter(size: list[int]) -> Any:
     # Where there is no X server, VTK takes EGL or else OSMesa by itself, but warns of the missing server first.
     with pyvista.vtk_verbosity("error"):
         plotter = pyvista.Plotter(off_screen=True, window_size=size, lighting="none")
-    if plotter.render_window.GetClassName() == "vtkOSOpenGLRenderWindow" and not _has_osmesa():
+    if plotter.render_window.GetClassName() == "vtkOSOpenGLRenderWindow" and not has_osmesa():
         plotter.close()
         raise RuntimeError("nothing here can draw: install EGL (libegl1) or OSMesa (libosmesa6), or set DISPLAY")
     plotter.disable_anti_aliasing()
@@ -81,7 +82,7 @@ def _bring_forward(actor: Any, share: float = 1.0) -> None:
     actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, share * FORWARD)
 
 
-def _has_osmesa() -> bool:
+def has_osmesa() -> bool:
     """Whether OSMesa can be loaded; VTK falls back on it unasked, and crashes where it is missing."""
     if not sys.platform.startswith("linux"):
         return True
@@ -111,24 +112,14 @@ def _drawn_lines(model: RodModel, radius: float) -> RodModel | None:
     return RodModel(rods=rods) if rods else None
 
 
-def checked(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    """Values as finite floats of the shape, or a ValueError that names them."""
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape != shape:
-        raise ValueError(f"{name} has shape {array.shape}: must have {shape}")
-    if not np.all(np.isfinite(array)):
-        raise ValueError(f"{name}: must be finite")
-    return array
-
-
 def in_lines(text: str, width: int) -> str:
     """Text in lines of at most so many letters, which end before a bracket rather than in it."""
 
-    def held(bracket: re.Match[str]) -> str:
-        whole = bracket.group()
-        return whole.replace(" ", NO_BREAK) if len(whole) <= width else whole
+    def unbroken(bracket: re.Match[str]) -> str:
+        inside = bracket.group()
+        return inside.replace(" ", NO_BREAK) if len(inside) <= width else inside
 
-    return textwrap.fill(re.sub(r"\([^()]*\)|\[[^][]*\]", held, text), width).replace(NO_BREAK, " ")
+    return textwrap.fill(re.sub(r"\([^()]*\)|\[[^][]*\]", unbroken, text), width).replace(NO_BREAK, " ")
 
 
 class Renderer:
@@ -163,8 +154,7 @@ class Renderer:
         bare: bool = False,
         fine: bool = False,
     ) -> None:
-        if not (len(size) == 2 and all(isinstance(pixels, int) and 64 <= pixels <= 4096 for pixels in size)):
-            raise ValueError(f"size = {size!r}: must be a width and a height, whole numbers of pixels from 64 to 4096")
+        width, height = items("size", size, partial(whole, low=64, high=4096), 2, "pixel counts: width and height")
         if view is None:
             rest = model.rest_state().position[: lattice.n_rod * lattice.n_node]
             stretch = np.array([1.0, 1.0, 1.6])
@@ -172,21 +162,21 @@ class Renderer:
             lies = not np.array_equal(rest, lattice.position.reshape(-1, 3))
             shown = np.concatenate([rest - ahead, rest + ahead] if lies else [rest, rest * stretch])
         else:
-            shown = checked("view", view, (max(1, len(np.atleast_1d(view))), 3))
-        self.size, self._model = size, model
-        self._plotter = _plotter([SUPERSAMPLE * pixels for pixels in size])
+            shown = array("view", view, ("n", 3))
+            require(len(shown) > 0, "view is empty: must hold at least one point")
+        self.size, self._n_marker, self._bare = (width, height), n_marker, bare
+        self._lattice, self._model = lattice, model
+        self._plotter = _plotter([SUPERSAMPLE * width, SUPERSAMPLE * height])
         muscles = set(model.muscles)
         structure = [rod for rod in range(model.n_rod) if rod not in muscles]
         lines = _drawn_lines(model, lattice.design.muscle_radius)
         self._rods = Tubes(model, structure, ROD_SCALE, ROD_PIECES, 0.0)
-        self._balls = Balls(lattice.n_site, SITE_SCALE * lattice.design.structure_radius)
+        self._sites = Balls(lattice.n_site, SITE_SCALE * lattice.design.structure_radius)
         self._muscles = Tubes(model, model.muscles, MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if muscles else None
         self._lines = Tubes(lines, range(lines.n_rod), MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if lines else None
         self._bolus = Balls(1, model.bolus.radius, BOLUS_CORNERS) if model.bolus else None
         self._markers = Balls(n_marker, MARKER_RADIUS * lattice.design.diameter, BOLUS_CORNERS) if n_marker else None
         self._top = Balls(1, TOP_RADIUS * lattice.design.diameter, BOLUS_CORNERS) if n_marker else None
-        self._n_marker, self._lattice = n_marker, lattice
-        self._site_nodes = lattice.site_nodes
         for part in self._parts():
             actor = self._plotter.add_mesh(part.mesh, scalars="colour", rgb=True, smooth_shading=False, **MATERIAL)
             actor.prop.interpolation = "Phong"
@@ -198,7 +188,7 @@ class Renderer:
             )
             glow.prop.interpolation = "Phong"
             _bring_forward(glow)
-        self._bare, self._colour_bar = bare, model.n_muscle > 0 and not bare
+        self._colour_bar = model.n_muscle > 0 and not bare
         if self._colour_bar:
             self._write("activation", 0.5 * (BAR[0] + BAR[1]), BAR[3] + 0.03, 0.03, ("center", "bottom"))
             for value in (0.0, 0.5, 1.0):
@@ -211,8 +201,8 @@ class Renderer:
             shown = np.concatenate([shown, self._add_ground(shown, lattice.design.diameter)])
         self._aim(shown)
         if fine:
-            reach = 0.12 * lattice.design.diameter
-            self._plotter.enable_ssao(radius=reach, bias=0.08 * reach, kernel_size=64)
+            radius = 0.12 * lattice.design.diameter
+            self._plotter.enable_ssao(radius=radius, bias=0.08 * radius, kernel_size=64)
 
     def update(
         self,
@@ -229,33 +219,24 @@ class Renderer:
         text to print, the place of the ball (n_bolus, 3) [m], by default where it starts, and places to mark
         (n_marker, 3) [m]. Wrong shapes and numbers that are not finite are a ValueError.
         """
-        x = checked("position", position, (self._model.n_node, 3))
-        n_muscle = self._model.n_muscle
-        a = np.zeros(n_muscle) if activation is None else checked("activation", activation, (n_muscle,))
-        if n_muscle and np.max(np.abs(a - 0.5)) > 0.5 + ACTIVATION_TOLERANCE:
-            raise ValueError(f"activation spans {a.min():g} to {a.max():g}: must lie in [0, 1]")
-        centre = self._model.rest_state().bolus_position if bolus is None else bolus
-        centre = checked("bolus", centre, (self._model.n_bolus, 3))
-        marked = checked("markers", np.empty((0, 3)) if markers is None else markers, (self._n_marker, 3))
-        self._rods.update(x)
-        self._paint(self._rods.mesh, rgb(colours.ROD))
-        self._balls.update(x[self._site_nodes].mean(axis=1))
-        self._paint(self._balls.mesh, rgb(colours.SITE))
+        model = self._model
+        x = array("position", position, (model.n_node, 3))
+        relaxed = np.zeros(model.n_muscle)
+        a = array("activation", relaxed if activation is None else activation, relaxed.shape, *ACTIVATION_RANGE)
+        centre = array("bolus", model.rest_state().bolus_position if bolus is None else bolus, (model.n_bolus, 3))
+        marked = array("markers", np.empty((0, 3)) if markers is None else markers, (self._n_marker, 3))
+        self._move(self._rods, x, rgb(colours.ROD))
+        self._move(self._sites, x[self._lattice.site_nodes].mean(axis=1), rgb(colours.SITE))
         if self._muscles:
-            self._muscles.update(x)
-            self._paint(self._muscles.mesh, activation_colour(a[: len(self._model.muscles)]))
+            self._move(self._muscles, x, activation_colour(a[: len(model.muscles)]))
         if self._lines:
-            self._lines.update(_line_nodes(self._model, x))
-            self._paint(self._lines.mesh, activation_colour(a[len(self._model.muscles) :]))
+            self._move(self._lines, _line_nodes(model, x), activation_colour(a[len(model.muscles) :]))
         if self._bolus:
-            self._bolus.update(centre)
-            self._paint(self._bolus.mesh, rgb(colours.BOLUS))
+            self._move(self._bolus, centre, rgb(colours.BOLUS))
         if self._markers:
-            self._markers.update(marked)
-            self._paint(self._markers.mesh, rgb(colours.MARKER), haze=0.0)
+            self._move(self._markers, marked, rgb(colours.MARKER), haze=0.0)
         if self._top:
-            self._top.update(top_centre(self._lattice, x)[None])
-            self._paint(self._top.mesh, rgb(colours.TOP), haze=0.0)
+            self._move(self._top, top_centre(self._lattice, x)[None], rgb(colours.TOP), haze=0.0)
         if not self._bare:
             self._time.input = "" if time is None else f"t = {time:.2f} s"
             # A letter is about half as wide as it is high.
@@ -275,7 +256,7 @@ class Renderer:
         self.close()
 
     def _parts(self) -> list[Tubes | Balls]:
-        parts = self._rods, self._balls, self._muscles, self._lines, self._bolus, self._markers, self._top
+        parts = self._rods, self._sites, self._muscles, self._lines, self._bolus, self._markers, self._top
         return [part for part in parts if part]
 
     def _write(self, text: str, x: float, y: float, size: float, justified: tuple[str, str]) -> Any:
@@ -334,14 +315,15 @@ class Renderer:
         self._plotter.reset_camera_clipping_range()
         self._depth = low[2], high[2]
 
-    def _paint(self, mesh: Any, colour: FloatArray, haze: float = HAZE) -> None:
-        """Colour the equal parts of a mesh, one each (n, 3) or one for all (3,), 0 to 255, paler towards the back."""
-        depth = np.asarray(mesh.points) @ self._back
+    def _move(self, part: Tubes | Balls, places: FloatArray, colour: FloatArray, haze: float = HAZE) -> None:
+        """Move a part and colour its n equal pieces, shape (n, 3) or (3,) for all, 0 to 255, paler towards the back."""
+        part.update(places)
+        depth = np.asarray(part.mesh.points) @ self._back
         pale = haze * np.clip((self._depth[1] - depth) / (self._depth[1] - self._depth[0]), 0.0, 1.0)
-        parts = np.atleast_2d(colour)
-        shown = np.repeat(parts, len(depth) // len(parts), axis=0)
+        pieces = np.atleast_2d(colour)
+        shown = np.repeat(pieces, len(depth) // len(pieces), axis=0)
         shown += pale[:, None] * (rgb(colours.HAZE) - shown)
-        overwrite(mesh.point_data["colour"], shown)
+        overwrite(part.mesh.point_data["colour"], shown)
 
     def _picture(self) -> RGB:
         n, (width, height) = SUPERSAMPLE, self.size

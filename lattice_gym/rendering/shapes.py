@@ -19,7 +19,7 @@ MAX_BULGE = 2.0
 SIDES = 12
 
 
-def _spline(n_node: int, samples: int) -> FloatArray:
+def catmull_rom(n_node: int, samples: int) -> FloatArray:
     """Matrix of the Catmull-Rom curve through n_node nodes, shape ((n_node - 1) samples + 1, n_node)."""
     place = np.arange((n_node - 1) * samples + 1) / samples
     before = np.minimum(place.astype(np.int64), n_node - 2)
@@ -53,7 +53,7 @@ class Tubes:
         self._rest_radius = scale * np.stack([model.rods[rod].radius for rod in rods])
         self._rest_length = np.linalg.norm(np.diff(rest, axis=1), axis=2)
         samples = math.ceil(pieces / (n_node - 1))
-        self._spline = _spline(n_node, samples)
+        self._spline = catmull_rom(n_node, samples)
         n_sample = len(self._spline)
         along = np.arange(n_sample)[:, None] / samples
         self._profile = np.maximum(0.0, 1.0 - np.abs(along - np.arange(n_node)))

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.body.lattice import build_lattice
-from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.checks import FloatArray, IntArray, number, refused
 from lattice_gym.physics.worm import build_model
 from lattice_gym.recording.files import replacing
 from lattice_gym.recording.trajectory import Trajectory
@@ -22,6 +22,7 @@ from lattice_gym.rendering.scene import Renderer
 
 FASTEST, FASTEST_GIF = 60.0, 50.0
 """Most pictures a second of a video by default; and of a GIF at all, as viewers slow down what is faster."""
+Picture = npt.NDArray[np.uint8]
 
 
 def render_video(
@@ -42,14 +43,13 @@ def render_video(
     even. ``progress`` is called with the numbers of pictures done and of all. The file appears under its name only once
     it is complete.
     """
-    if not 1e-3 <= speed <= 1e3:
-        raise ValueError(f"speed = {speed!r}: must be from 0.001 to 1000")
+    speed = number("speed", speed, 1e-3, 1e3)
     if size[0] % 2 or size[1] % 2:
-        raise ValueError(f"size = {size!r}: must be even, as the video's pixels share their colour in blocks of 2 x 2")
+        raise refused("size", size, "must be even, as the video's pixels share their colour in blocks of 2 x 2")
     animated = Path(path).suffix.lower() == ".gif"
-    if animated and fps is not None and fps > FASTEST_GIF:
-        raise ValueError(f"fps = {fps!r}: must be at most {FASTEST_GIF:g} [pictures/s] in a GIF")
-    shown, rate = _schedule(trajectory.time, fps, speed, FASTEST_GIF if animated else FASTEST)
+    if fps is not None:
+        fps = number("fps", fps, 1.0, FASTEST_GIF if animated else 240.0, "pictures/s")
+    shown, rate = schedule(trajectory.time, fps, speed, FASTEST_GIF if animated else FASTEST)
     lattice = build_lattice(trajectory.design)
     model, bolus = build_model(lattice, trajectory.layout, trajectory.world), trajectory.bolus
     marked = np.empty((0, 3)) if trajectory.markers is None else trajectory.markers
@@ -82,9 +82,6 @@ def render_video(
                 progress(k + 1, len(shown))
 
 
-Picture = npt.NDArray[np.uint8]
-
-
 @contextmanager
 def _mp4(path: Path, size: tuple[int, int], rate: float) -> Iterator[Callable[[Picture], object]]:
     options: dict[str, Any] = {
@@ -93,8 +90,8 @@ def _mp4(path: Path, size: tuple[int, int], rate: float) -> Iterator[Callable[[P
         "pix_fmt_out": "yuv420p",
         "macro_block_size": 2,
         "quality": 7,
+        "output_params": ["-movflags", "+faststart", "-f", "mp4"],
     }
-    options["output_params"] = ["-movflags", "+faststart", "-f", "mp4"]
     ffmpeg = extra("imageio_ffmpeg")
     writer = ffmpeg.write_frames(str(path), size, **options)
     writer.send(None)
@@ -109,7 +106,7 @@ def _mp4(path: Path, size: tuple[int, int], rate: float) -> Iterator[Callable[[P
         yield write
     finally:
         writer.close()
-    # ffmpeg's own end, on a full disk for one, is told to nobody.
+    # Where ffmpeg ends early, as on a full disk, the writer does not say so.
     written, _ = ffmpeg.count_frames_and_secs(str(path))
     if written != sent:
         raise RuntimeError(f"ffmpeg wrote {written} of {sent} pictures")
@@ -128,28 +125,27 @@ def _gif(path: Path, size: tuple[int, int], rate: float) -> Iterator[Callable[[P
     some = image.fromarray(np.concatenate(pictures[:: max(1, len(pictures) // 4)]))
     palette = some.quantize(96, image.Quantize.FASTOCTREE)
     few = [frame.quantize(palette=palette, dither=0) for frame in frames]
-    few[0].save(path, format="GIF", save_all=True, append_images=few[1:], duration=_durations(len(few), rate), loop=0)
+    durations = gif_durations(len(few), rate)
+    few[0].save(path, format="GIF", save_all=True, append_images=few[1:], duration=durations, loop=0)
 
 
-def _durations(count: int, rate: float) -> list[int]:
+def gif_durations(count: int, rate: float) -> list[int]:
     """How long each picture of a GIF lasts [ms]: whole hundredths of a second, of which none is lost on the way."""
     ends = np.rint(100.0 / rate * np.arange(count + 1)).astype(np.int64)
     durations: list[int] = (10 * np.diff(ends)).tolist()
     return durations
 
 
-def _schedule(time: FloatArray, fps: float | None, speed: float, fastest: float = FASTEST) -> tuple[IntArray, float]:
-    """Which frame each picture of a video shows, and the pictures a second."""
+def schedule(time: FloatArray, fps: float | None, speed: float, fastest: float = FASTEST) -> tuple[IntArray, float]:
+    """Which frame each picture of a video shows, and the pictures a second; see `render_video`."""
     if fps is None:
         rate = speed / float(np.median(np.diff(time))) if len(time) > 1 else 10.0
         if rate > fastest:
             rate /= math.ceil(rate / fastest - 1e-6)
         elif rate < 10.0:
             rate *= math.ceil(10.0 / rate - 1e-6)
-    elif 1.0 <= fps <= 240.0:
-        rate = float(fps)
     else:
-        raise ValueError(f"fps = {fps!r}: must be from 1 to 240 [pictures/s]")
+        rate = fps
     # A millionth of a picture keeps rounding from showing a frame one picture late.
     count = math.floor((time[-1] - time[0]) / speed * rate + 1e-6) + 1
     at = time[0] + (np.arange(count) + 1e-6) * speed / rate
