@@ -430,7 +430,7 @@ def test_bounds_of_commands_are_reached(height: float) -> None:
         with pytest.raises(ValueError, match=rf"^command\['{name}'\]"):
             TASKS["peristalsis"](lattice, 0.05, rest | {name: outwards * value})
     for azimuth in (2 * np.pi, -2 * np.pi):
-        task = make_task("bending", lattice, 0.05, {"azimuth": azimuth})
+        task = TASKS["bending"](lattice, 0.05, {"azimuth": azimuth})
         task.begin(np.random.default_rng(0), {})
         assert task.command == {"azimuth": azimuth}
 
@@ -438,7 +438,7 @@ def test_bounds_of_commands_are_reached(height: float) -> None:
 @pytest.mark.parametrize("command", [{"speed": 0.01, "wavelength": 0.1}, {"wavelength": 0.0375, "speed": 0.1}])
 def test_bounds_of_the_default_design(command: dict[str, float]) -> None:
     """A tenth of a height a second, and three level spacings."""
-    task = make_task("peristalsis", LATTICE, 0.05, command)
+    task = TASKS["peristalsis"](LATTICE, 0.05, command)
     task.begin(np.random.default_rng(0), {})
     assert {name: task.command[name] for name in command} == command
 
