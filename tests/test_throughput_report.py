@@ -23,7 +23,6 @@ from lattice_gym.benchmarks.timing import allocated, digits, interleaved, second
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.engines.fused.pack import Pack
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.worm import build_model
 
@@ -172,7 +171,9 @@ def test_record_bytes_are_those_of_the_engine(pairs: int) -> None:
     """With one block of rods and with two, and muscles beside them."""
     lattice = build_lattice(LatticeDesign(n_pairs=pairs, period_ratio=pairs / LEVELS_PER_PAIR))
     model = build_model(lattice, named_layout("all", lattice))
-    assert record_bytes(model) == Pack([model], 1e-5, "symmetric").cells.nbytes
+    engine = simulate("fused", model, 1e-5).engine
+    assert isinstance(engine, FusedEngine)
+    assert record_bytes(model) == engine.packs[0].blocks.cells.nbytes
 
 
 # PyElastica
