@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from elastica.timestepper.symplectic_steppers import PEFRL
 
-from lattice_gym.engines.pyelastica.engine import Assembly
+from lattice_gym.engines.pyelastica.assembly import Assembly
 from lattice_gym.physics.assembly import PointForce, RodModel
 from lattice_gym.physics.rod import straight_rod
 
@@ -17,7 +17,7 @@ _PUSH = 1e-3
 def _with_pefrl(model: RodModel) -> Assembly:
     """Assembly that the other stepper advances."""
     assembly = Assembly(model, _DT)
-    vars(assembly)["_stepper"] = PEFRL()
+    assembly.stepper = PEFRL()
     return assembly
 
 
