@@ -23,6 +23,7 @@ from lattice_gym.benchmarks.timing import allocated, digits, interleaved, second
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
+from lattice_gym.engines.fused.engine import FusedEngine
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.worm import build_model
 

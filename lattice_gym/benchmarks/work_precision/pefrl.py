@@ -18,7 +18,7 @@ _PUSH = 1e-3
 def _with_pefrl(model: RodModel) -> Assembly:
     """Assembly that the other stepper advances."""
     assembly = Assembly(model, _DT)
-    vars(assembly)["_stepper"] = PEFRL()
+    assembly.stepper = PEFRL()
     return assembly
 
 
