@@ -18,6 +18,7 @@ from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.fused import kernels
 from lattice_gym.engines.fused.engine import FusedAssembly, FusedEngine
+from lattice_gym.engines.pyelastica.contact import touchable_pairs
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import Clamp, Joint, PointForce, RodModel
@@ -294,6 +295,42 @@ def test_list_is_that_of_brute_force(seed: int, n_rod: int, size: float, far: fl
     found, tables = listed(engine)
     near = contact.depths(model, now.position, every) > -tables.skin
     assert np.array_equal(found, every[near & ~at_rest])
+
+
+def assert_engines_select_alike(model: RodModel) -> int:
+    """Compare the pairs that the reference engine tries with those that the law leaves; return how many it excludes."""
+    rod, excluded = contact.rod_of(model), contact.excluded(model)
+    solid = ~np.isin(rod, model.muscles)
+    every = np.argwhere(solid[:, None] & solid & (rod[:, None] < rod))
+    left = every[~np.isin(every @ [model.n_elem, 1], excluded @ [model.n_elem, 1])]
+    assert np.array_equal(touchable_pairs(model), left)
+    return len(excluded)
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        {},
+        {"n_pairs": 3, "elements_per_segment": 3},
+        {"n_pairs": 2, "period_ratio": 2.0, "elements_per_segment": 1, "structure_radius": 4e-3},
+        {"n_pairs": 8, "period_ratio": 1.6, "elements_per_segment": 7, "diameter": 0.05},
+    ],
+)
+def test_engines_select_the_same_pairs(design: dict[str, Any]) -> None:
+    """The reference engine finds by itself which elements of a lattice may touch, and leaves out the same."""
+    lattice = build_lattice(LatticeDesign(**design))
+    assert assert_engines_select_alike(build_model(lattice, named_layout("all", lattice))) > 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_engines_select_the_same_pairs_of_odd_rods(seed: int) -> None:
+    """Joined and not, parallel, in one line, and through each other."""
+    rng = np.random.default_rng(seed)
+    model = scattered(rng, 12, 0.1, joints=tuple(Joint(k, 0, k + 1, 1, 1.0) for k in range(0, 10, 2)))
+    along = [straight_rod((0, 0, z), (0.1, 0, z), 3, **ROD) for z in (0.0, 2.0 * REACH, REACH, 1.5 * REACH)]
+    in_line = straight_rod((0.1 + 1.3 * REACH, 0, 0), (0.3, 0, 0), 4, **ROD)
+    joints = (*model.joints, Joint(12, 1, 13, 1, 1.0), Joint(12, 3, 16, 0, 1.0))
+    assert assert_engines_select_alike(replace(model, rods=(*model.rods, *along, in_line), joints=joints)) > 0
 
 
 WHOLE = st.lists(st.integers(-3, 3), min_size=12, max_size=12)
