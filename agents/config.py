@@ -9,18 +9,16 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from lattice_gym.body.muscles import LAYOUTS
+from lattice_gym.engines.registry import ENGINES, EngineName
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.tasks.base import Task
 from lattice_gym.tasks.registry import resolve_task
 
 Control = Literal["muscle", "ring", "column"]
-Engine = Literal["fused", "pyelastica"]
-Observation = Literal["sites", "nodes"]
 
 _CHOICES: dict[str, tuple[str, ...]] = {
     "control": get_args(Control),
-    "engine": get_args(Engine),
-    "observation": get_args(Observation),
+    "engine": tuple(ENGINES),
     "fidelity": get_args(FidelityName),
 }
 _WHOLE = {
@@ -92,12 +90,13 @@ class TrainConfig:
     """Name of a muscle layout (extension, compression, bending, all) or its JSON file; the task's own if not given."""
     environment: Path | None = None
     """JSON file of further arguments of LatticeWormEnv by name, such as world, command, hill, adaptation, randomise."""
-    engine: Engine = "fused"
-    """What integrates the rods."""
+    engine: EngineName = "fused"
+    """What integrates the rods: fused, or pyelastica, the reference."""
     control_dt: float = 0.05
     """Time between two actions [s]."""
-    observation: Observation = "sites"
-    """What the policy sees of the rods: the nodes where they cross, or all nodes."""
+    observation: tuple[str, ...] | None = None
+    """What the policy sees: terms by name, or module:Class; by default what the task says, most often sites (where
+    rods cross), activation and command, and then the clock if there is a rhythm."""
     fidelity: FidelityName = "default"
     """How finely the worm is computed: fast is three times cheaper, to be scored on default or fine."""
 
@@ -169,6 +168,9 @@ class TrainConfig:
         sizes = self.hidden_sizes
         if not isinstance(sizes, tuple) or not sizes or not all(_is_number(n, _WIDTH, True) for n in sizes):
             raise InputError(f"hidden_sizes = {sizes!r}: must be a tuple of whole numbers in {_WIDTH}")
+        seen = self.observation
+        if seen is not None and not (isinstance(seen, tuple) and seen and all(isinstance(term, str) for term in seen)):
+            raise InputError(f"observation = {seen!r}: must be a tuple of names of terms")
         if self.n_envs * self.n_steps % self.batch_size:
             samples = f"{self.n_envs} * {self.n_steps} = {self.n_envs * self.n_steps}"
             raise InputError(
@@ -207,7 +209,7 @@ class TrainConfig:
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON-safe values, without the places on this machine (design, run_dir, ...)."""
         settings = {name: value for name, value in asdict(self).items() if name not in _PLACES}
-        return settings | {"hidden_sizes": list(self.hidden_sizes)}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in settings.items()}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TrainConfig:
@@ -218,8 +220,9 @@ class TrainConfig:
         if unknown := sorted(set(values) - known):
             raise InputError(f"{unknown[0]}: unknown setting; known are {', '.join(sorted(known))}")
         settings = dict(values)
-        if isinstance(settings.get("hidden_sizes"), list):
-            settings["hidden_sizes"] = tuple(settings["hidden_sizes"])
+        for name in ("hidden_sizes", "observation"):
+            if isinstance(settings.get(name), list):
+                settings[name] = tuple(settings[name])
         return cls(**settings)
 
     def _hints(self) -> dict[str, Any]:

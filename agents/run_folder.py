@@ -89,7 +89,7 @@ class Run:
             return self
         if fidelity not in get_args(FidelityName):
             raise InputError(f"fidelity = {fidelity!r}: must be one of {', '.join(get_args(FidelityName))}")
-        if self.config.observation == "nodes":
+        if "nodes" in (self.config.observation or self.config.task_class.observation):
             raise InputError(
                 f"fidelity = {fidelity!r}: must be {self.fidelity!r}, as {self.path} observes all nodes, not sites"
             )
@@ -133,19 +133,10 @@ def env_arguments(
         "rhythm": config.rhythm,
         "engine": config.engine,
         "control_dt": config.control_dt,
-        "observation": _observed(config, further),
+        "observation": None if config.observation is None else list(config.observation),
         "fidelity": config.fidelity,
         **further,
     }
-
-
-def _observed(config: TrainConfig, further: Mapping[str, Any]) -> list[str] | None:
-    """Terms that are observed; None: those of the environment's own choice, which has sites."""
-    if config.observation == "sites":
-        return None
-    strengths = (further.get("adaptation") or {}).get("observed", False)
-    clock, strength = ["clock"] * (config.rhythm is not None), ["strength"] * bool(strengths)
-    return [config.observation, "activation", "command", *clock, *strength]
 
 
 def requested_arguments(config: TrainConfig) -> dict[str, Any]:

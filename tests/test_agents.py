@@ -429,7 +429,7 @@ def test_fidelity_that_cannot_be_is_refused(copy: Path) -> None:
     with pytest.raises(InputError, match=r"^fidelity = 'coarse': must be one of fast, default, fine"):
         run.at(unknown)
     with pytest.raises(InputError, match=r"^fidelity = 'fast': must be 'default', as .* observes all nodes"):
-        replace(run, config=replace(run.config, observation="nodes")).at("fast")
+        replace(run, config=replace(run.config, observation=("nodes", "command"))).at("fast")
     with pytest.raises(InputError, match=r"^fidelity = 'fast': must be 'default'"):
         train(replace(resume_settings(copy), total_steps=240, fidelity="fast"))
 

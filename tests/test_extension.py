@@ -116,6 +116,19 @@ def test_many_are_as_many_alone(folder: Path) -> None:
     many.close()
 
 
+def test_it_observes_a_term_of_its_own(folder: Path) -> None:
+    """By default, as the task says, and in its place."""
+    env = gymnasium.make(ID, **SHORT)
+    worm: Any = env.unwrapped
+    env.reset(seed=0)
+    seen, *_, info = env.step(np.eye(96, dtype=np.float32)[:2].sum(axis=0))
+    place = worm.observation_slices["top_angle"]
+    assert (place.start, place.stop) == (seen.size - 1, seen.size)
+    assert seen[place] == pytest.approx([info["outcome"]["angle"]], rel=1e-6)
+    assert abs(seen[place]) > 0.0
+    assert worm.observation_space.high[place] == pytest.approx(np.pi)
+
+
 def test_specs_survive_json(folder: Path) -> None:
     """What is read back makes an equal worm."""
     env = gymnasium.make(ID, **SHORT, reward_weights={"effort": 0.02})

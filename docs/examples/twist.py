@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lattice_gym import Command, RewardTerm, Task, tie
+from lattice_gym import Command, ObservationTerm, RewardTerm, Task, tie
 from lattice_gym.checks import wrap_angle
 from lattice_gym.physics.measures import azimuth_of, site_positions, top_sites
 from lattice_gym.tasks.gait import hold
@@ -17,12 +17,12 @@ from lattice_gym.tasks.gait import hold
 class Twist(Task):
     """Turn the top ring to a commanded angle: the reward is how much nearer to it the ring is than at rest."""
 
-    name = "twist"
-    time_limit = 40  # control steps of 0.05 s
+    name, time_limit = "twist", 40  # control steps of 0.05 s
     design: ClassVar = {"max_tension": 1.0}  # [N]
     rewards: ClassVar = {"nearer": RewardTerm(10.0, -np.pi, 0.14)}  # weight, least and largest value [rad]
     training: ClassVar = {"control": "muscle", "gamma": 0.8}
-    bounds = (1.0,)  # of what `observe` gives
+    observation = ("sites", "activation", "command", "twist:TopAngle")
+    bounds = (1.0,)  # of the command, as `observe` gives it
 
     @classmethod
     def muscles(cls, lattice):
@@ -33,8 +33,7 @@ class Twist(Task):
     @classmethod
     def gait(cls, lattice, layout, command):
         """Activate the diagonals that lean against the commanded angle, in proportion to it."""
-        start, end = np.array([(muscle.start, muscle.end) for muscle in layout.active]).T
-        lean = wrap_angle(lattice.site_azimuth[end] - lattice.site_azimuth[start])
+        lean = wrap_angle(np.diff([lattice.site_azimuth[[m.start, m.end]] for m in layout.active])[:, 0])
         most = 0.15 if command["angle"] < 0.0 else 0.22  # at full drive, after 2 s [rad]
         return hold(np.where(lean * command["angle"] < 0.0, abs(command["angle"]) / most, 0.0))
 
@@ -60,3 +59,16 @@ class Twist(Task):
         ring = site_positions(self.lattice, motion.position)[:, sites]
         azimuth = azimuth_of(ring - ring.mean(axis=1, keepdims=True))
         return wrap_angle(azimuth - self.lattice.site_azimuth[sites]).mean(axis=1)
+
+
+class TopAngle(ObservationTerm):
+    """Angle by which the top is turned."""
+
+    name, unit = "top_angle", "rad"
+
+    def __init__(self, scene):
+        self.low, self.high = np.full(1, -np.pi), np.full(1, np.pi)
+
+    def __call__(self, worms):
+        """Angle of every worm, shape (n_worm, 1)."""
+        return worms.task.angle(worms.motion)[:, None]

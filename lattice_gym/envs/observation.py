@@ -26,9 +26,9 @@ TermLike = str | type[ObservationTerm]
 
 
 def resolve_terms(observation: object, scene: Scene) -> tuple[type[ObservationTerm], ...]:
-    """Classes of the terms that are asked for; None: sites, activation, command, and clock and strength where given.
+    """Classes of the terms that are asked for; None: those of the task, and clock and strength where given.
 
-    Of the scene only `goals_apart`, `rhythm` and `adaptation` are read.
+    Of the scene only `task`, `goals_apart`, `rhythm` and `adaptation` are read.
 
     Raises
     ------
@@ -37,7 +37,8 @@ def resolve_terms(observation: object, scene: Scene) -> tuple[type[ObservationTe
     """
     given = {"clock": scene.rhythm is not None, "strength": scene.adaptation is not None and scene.adaptation.observed}
     further = [name for name, wanted in given.items() if wanted]
-    default = ["sites", "activation", *([] if scene.goals_apart else ["command"]), *further]
+    own = [term for term in scene.task.observation if term != "command" or not scene.goals_apart]
+    default = own + [name for name in further if name not in own]
     if observation is None:
         observation = default
     if not isinstance(observation, list | tuple) or len(observation) == 0:

@@ -122,6 +122,8 @@ class Task(ABC):
     """What suits a learner: "control" as in `LatticeWormEnv`, and "gamma", the discount in each control step."""
     layout: ClassVar[str] = "all"
     """Muscles it is meant for, by name; see `muscles`."""
+    observation: ClassVar[Sequence[Any]] = ("sites", "activation", "command")
+    """What is observed by default, as in `LatticeWormEnv(observation=...)`."""
     bounds: ClassVar[tuple[float, ...]] = ()
     """Sizes that what it adds to the observation stays within, one a number."""
     design: ClassVar[Mapping[str, Any]] = {}
