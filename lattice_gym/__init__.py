@@ -9,7 +9,16 @@ from __future__ import annotations
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
-from lattice_gym.body.muscles import Muscle, MuscleLayout, horizontal, named_layout, resolve_layout, tie, vertical
+from lattice_gym.body.muscles import (
+    Muscle,
+    MuscleLayout,
+    diagonal,
+    horizontal,
+    named_layout,
+    resolve_layout,
+    tie,
+    vertical,
+)
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.goal import LatticeWormGoalEnv, LatticeWormGoalVectorEnv
 from lattice_gym.envs.registration import register_builtin_tasks, register_task
@@ -50,6 +59,7 @@ __all__ = [
     "World",
     "build_lattice",
     "design_for",
+    "diagonal",
     "gait",
     "grouped",
     "horizontal",

@@ -31,6 +31,7 @@ from lattice_gym.physics.measures import (
     top_centre,
     top_normal,
     travelling_wave,
+    twist_angle,
 )
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.worm import build_model
@@ -131,6 +132,16 @@ def test_a_base_that_cannot_tell_how_it_is_turned() -> None:
     narrow = build_lattice(LatticeDesign(n_pairs=2, period_ratio=1.0, base="free"))
     with pytest.raises(ValueError, match=r"lattice: 2 sites at the bottom"):
         strain(narrow, narrow.position.reshape(-1, 3))
+
+
+@given(turn=st.floats(-3.1, 3.1), away=st.floats(-1.0, 1.0), azimuth=st.floats(0.0, 6.28))
+def test_twist(turn: float, away: float, azimuth: float) -> None:
+    """A body twisted in proportion to height: the top's share of it, wherever the body stands."""
+    angle = turn * REST[:, 2] / LATTICE.design.height
+    place = (REST[:, 0] + 1j * REST[:, 1]) * np.exp(1j * angle)
+    twisted = np.stack([place.real, place.imag, REST[:, 2]], axis=1)
+    assert twist_angle(LATTICE, twisted + [away, 0.0, 0.0]) == pytest.approx(turn, abs=1e-9)
+    assert twist_angle(FREE, _turned(twisted, 0.7, azimuth)) == pytest.approx(turn, abs=1e-9)
 
 
 def test_an_upright_top_has_no_direction() -> None:

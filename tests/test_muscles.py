@@ -21,6 +21,7 @@ from lattice_gym.body.muscles import (
     MuscleLayout,
     bending_layout,
     control_groups,
+    diagonal,
     horizontal,
     named_layout,
     resolve_layout,
@@ -106,6 +107,16 @@ def test_span_is_checked(span: Any) -> None:
     """Odd spans meet no site of the same azimuth, and ten levels are more than there are."""
     with pytest.raises(ValueError, match="span = "):
         vertical(LATTICE, span)
+
+
+def test_diagonal_muscles(lattice: Lattice) -> None:
+    """Each runs along a rod from one level to the next, right-handed ones first, none twice."""
+    layout = diagonal(lattice)
+    start, end = np.array([(muscle.start, muscle.end) for muscle in layout.muscles]).T
+    assert len(layout) == lattice.n_rod * (lattice.n_level - 1)
+    np.testing.assert_array_equal(lattice.site_level[end], lattice.site_level[start] + 1)
+    lean = wrap_angle(lattice.site_azimuth[end] - lattice.site_azimuth[start])
+    np.testing.assert_allclose(lean, np.repeat([1.0, -1.0], len(layout) // 2) * np.pi / lattice.design.n_pairs)
 
 
 def test_horizontal_levels() -> None:

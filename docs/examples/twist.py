@@ -1,74 +1,39 @@
-"""A task of your own: turn the top of the worm about its axis. In this folder: `python train.py --task twist:Twist`.
-
-All that is known of a task stands in its class; `lattice_gym.Task` says what else there may be. An id of its own, with
-its time limit, comes from `lattice_gym.register_task("twist:Twist", "Twist-v0")`.
-"""
-
-from typing import ClassVar
+"""A task of your own: turn the top of the worm. In this folder: `python train.py --task twist:Twist`."""
 
 import numpy as np
 
-from lattice_gym import Command, ObservationTerm, RewardTerm, Task, tie
-from lattice_gym.checks import wrap_angle
-from lattice_gym.physics.measures import azimuth_of, site_positions, top_sites
-from lattice_gym.tasks.gait import hold
+from lattice_gym import Command, ObservationTerm, RewardTerm, Task, diagonal
+from lattice_gym.physics.measures import twist_angle
+
+
+class TopAngle(ObservationTerm):  # of its own: how far the top is turned
+    name, unit, low, high = "top_angle", "rad", np.full(1, -np.pi), np.full(1, np.pi)
+
+    def __call__(self, worms):
+        return worms.measures.twist_angle[:, None]  # a row a worm
 
 
 class Twist(Task):
-    """Turn the top ring to a commanded angle: the reward is how much nearer to it the ring is than at rest."""
-
     name, time_limit = "twist", 40  # control steps of 0.05 s
-    design: ClassVar = {"max_tension": 1.0}  # [N]
-    rewards: ClassVar = {"nearer": RewardTerm(10.0, -np.pi, 0.14)}  # weight, least and largest value [rad]
-    training: ClassVar = {"control": "muscle", "gamma": 0.8}
+    design = {"max_tension": 1.0}  # what differs from the default one [N]
+    rewards = {"nearer": RewardTerm(10.0, -np.pi, 0.14)}  # weight, least and largest value [rad]
+    training = {"control": "muscle", "gamma": 0.8}  # hints for a learner
     observation = ("sites", "activation", "command", "twist:TopAngle")
-    bounds = (1.0,)  # of the command, as `observe` gives it
+    bounds = (1.0,)  # of what `observe` gives, the term "command"
 
     @classmethod
     def muscles(cls, lattice):
-        """Diagonals along the rods: from every site to both neighbours on the next level."""
-        level, apart = lattice.site_level, abs(wrap_angle(lattice.site_azimuth - lattice.site_azimuth[:, None]))
-        return tie(lattice, np.argwhere((level == level[:, None] + 1) & (apart < 4.0 / lattice.design.n_pairs)))
+        return diagonal(lattice)
 
-    @classmethod
-    def gait(cls, lattice, layout, command):
-        """Activate the diagonals that lean against the commanded angle, in proportion to it."""
-        lean = wrap_angle(np.diff([lattice.site_azimuth[[m.start, m.end]] for m in layout.active])[:, 0])
-        most = 0.15 if command["angle"] < 0.0 else 0.22  # at full drive, after 2 s [rad]
-        return hold(np.where(lean * command["angle"] < 0.0, abs(command["angle"]) / most, 0.0))
-
-    def command_ranges(self):
-        """Angle [rad]: drawn from -0.12 to 0.12, given from -0.14 to 0.14."""
+    def command_ranges(self):  # drawn from -0.12 to 0.12, may be given from -0.14 to 0.14
         return {"angle": Command(-0.12, 0.12, -0.14, 0.14, "rad")}
 
     def observe(self, motion, time):
-        """Commanded angle over the largest."""
         return self.commanded["angle"][:, None] / 0.14
 
-    def terms(self, motion, activation, time):
-        """How much nearer the commanded angle is than it was at rest."""
-        return {"nearer": abs(self.commanded["angle"]) - abs(self.angle(motion) - self.commanded["angle"])}
+    def terms(self, motion, activation, time):  # how much nearer the top is to the angle than at rest
+        angle = self.commanded["angle"]
+        return {"nearer": abs(angle) - abs(twist_angle(self.lattice, motion.position) - angle)}
 
     def outcome(self, motion, worms):
-        """Angle by which the top is turned [rad]."""
-        return {"angle": self.angle(motion)}
-
-    def angle(self, motion):
-        """Angle by which the top ring is turned about its centre [rad], shape (n,)."""
-        sites = top_sites(self.lattice)
-        ring = site_positions(self.lattice, motion.position)[:, sites]
-        azimuth = azimuth_of(ring - ring.mean(axis=1, keepdims=True))
-        return wrap_angle(azimuth - self.lattice.site_azimuth[sites]).mean(axis=1)
-
-
-class TopAngle(ObservationTerm):
-    """Angle by which the top is turned."""
-
-    name, unit = "top_angle", "rad"
-
-    def __init__(self, scene):
-        self.low, self.high = np.full(1, -np.pi), np.full(1, np.pi)
-
-    def __call__(self, worms):
-        """Angle of every worm, shape (n_worm, 1)."""
-        return worms.task.angle(worms.motion)[:, None]
+        return {"angle": twist_angle(self.lattice, motion.position)}

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -184,6 +185,22 @@ def vertical(lattice: Lattice, span: int = 2) -> MuscleLayout:
         apart = np.abs(wrap_angle(lattice.site_azimuth[lower][:, None] - lattice.site_azimuth[upper]))
         ends = upper[apart.argmin(axis=1)]
         muscles += [Muscle("vertical", int(low), int(high)) for low, high in zip(lower, ends, strict=True)]
+    return MuscleLayout(tuple(muscles))
+
+
+def diagonal(lattice: Lattice) -> MuscleLayout:
+    """Muscles along the rods: from each site to both of its neighbours one level up.
+
+    They come hand by hand: first those that run as right-handed rods do, then the left-handed ones.
+    """
+    _need_levels("diagonal", lattice)
+    muscles: list[Muscle] = []
+    for hand in (0, 1):
+        rod, node = lattice.site_rod[:, hand], lattice.site_node[:, hand]
+        order = np.lexsort((node, rod))
+        muscles += [
+            Muscle("custom", int(low), int(high)) for low, high in pairwise(order.tolist()) if rod[low] == rod[high]
+        ]
     return MuscleLayout(tuple(muscles))
 
 

@@ -55,6 +55,11 @@ class Measures:
         return measures.strain(self.lattice, self.motion.position)
 
     @property
+    def twist_angle(self) -> FloatArray:
+        """Angle by which the top is turned about its centre [rad], shape (n_worm,)."""
+        return measures.twist_angle(self.lattice, self.motion.position)
+
+    @property
     def bend_vector(self) -> FloatArray:
         """Bend angle [rad] times the horizontal direction that the top leans towards, shape (n_worm, 2)."""
         return measures.bend_vector(self.lattice, self.motion.position)

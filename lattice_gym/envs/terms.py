@@ -44,13 +44,12 @@ class ObservationTerm(ABC):
     stays_within: ClassVar[bool] = False
     """Whether its numbers can never leave their bounds; of any other term those that do are clipped and counted."""
     low: FloatArray
-    """Least value of every number, shape (size,); set by `__init__`, as `high` is."""
+    """Least value of every number, shape (size,); of the class, or set by `__init__`, as `high` is."""
     high: FloatArray
     """Largest value of every number, shape (size,)."""
 
-    @abstractmethod
-    def __init__(self, scene: Scene) -> None:
-        """Set `low` and `high`."""
+    def __init__(self, scene: Scene) -> None:  # noqa: B027, some need nothing of it
+        """Set `low` and `high` where they depend on the scene."""
 
     @abstractmethod
     def __call__(self, worms: Worms) -> FloatArray:

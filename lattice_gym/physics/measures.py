@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
-from lattice_gym.checks import FloatArray, IntArray, finite_number, real_array, shown
+from lattice_gym.checks import FloatArray, IntArray, finite_number, real_array, shown, wrap_angle
 from lattice_gym.physics.assembly import RodModel
 
 LEAST_BEND = 1e-9
@@ -192,6 +192,18 @@ def bend_angle(lattice: Lattice, position: FloatArray) -> FloatArray:
 def bend_direction(lattice: Lattice, position: FloatArray) -> FloatArray:
     """Azimuth that the top leans towards [rad], in [0, 2 pi), shape (...,); 0 where it stands upright."""
     return azimuth_of(bend_vector(lattice, position))
+
+
+def twist_angle(lattice: Lattice, position: FloatArray) -> FloatArray:
+    """Angle by which the top ring is turned about its centre [rad], in [-pi, pi), shape (...,).
+
+    Positive to the left as seen from above: the mean over the ring's sites, against the base (`base_frame`).
+    """
+    sites = top_sites(lattice)
+    ring = _sites(lattice, position, sites)
+    spoke = _in_base(lattice, position, ring - _centre(ring)[..., None, :])
+    turned: FloatArray = wrap_angle(azimuth_of(spoke) - lattice.site_azimuth[sites]).mean(axis=-1)
+    return turned
 
 
 def azimuth_of(vector: FloatArray) -> FloatArray:
