@@ -140,7 +140,7 @@ def test_twist(turn: float, away: float, azimuth: float) -> None:
     angle = turn * REST[:, 2] / LATTICE.design.height
     place = (REST[:, 0] + 1j * REST[:, 1]) * np.exp(1j * angle)
     twisted = np.stack([place.real, place.imag, REST[:, 2]], axis=1)
-    assert twist_angle(LATTICE, twisted + [away, 0.0, 0.0]) == pytest.approx(turn, abs=1e-9)
+    assert twist_angle(LATTICE, twisted + np.array([away, 0.0, 0.0])) == pytest.approx(turn, abs=1e-9)
     assert twist_angle(FREE, _turned(twisted, 0.7, azimuth)) == pytest.approx(turn, abs=1e-9)
 
 
