@@ -195,28 +195,27 @@ def test_a_worm_that_diverges_ends_alone(task: str, mode: AutoresetMode) -> None
 
 def test_a_worm_that_does_not_step_earns_nothing() -> None:
     """Nor moves on in time, whether it failed before or not; the others step as they would alone."""
-    scene = Scene("extension", design=SMALL, dt=0.005, allow_large_dt=True)
+    scene = Scene("extension", design=SMALL)
     worms, alone = Worms(scene, 3), Worms(scene, 1)
     for worm in range(3):
         worms.begin(worm, np.random.default_rng(0))
     alone.begin(0, np.random.default_rng(0))
-    pull = np.zeros((3, scene.n_group))
-    pull[1] = 1.0
-    live = np.ones(3, dtype=bool)
-    while not worms.failed[1]:
-        worms.step(pull)
-        alone.step(pull[:1])
-    live[1:] = False
-    before = worms.time
+    torn = worms.state(1)
+    torn.velocity[scene.lattice.n_node // 2] = 1e6
+    worms.restore(torn, 1)
+    pull = np.full((3, scene.n_group), 0.5)
+    first, _ = worms.step(pull), alone.step(pull[:1])
+    assert first.over.tolist() == worms.failed.tolist() == [False, True, False]
+    assert first.reward[1] == -worms.task.penalty
+    live, before = np.array([True, False, False]), worms.time
     for _ in range(2):
         result, expected = worms.step(pull, live), alone.step(pull[:1])
-        assert result.reward[1:].tolist() == [0.0, 0.0]
-        assert result.over.tolist() == [*expected.over.tolist(), False, False]
-        assert result.reward[0] == expected.reward[0]
+        assert result.reward.tolist() == [expected.reward[0], 0.0, 0.0]
+        assert not result.over.any()
     np.testing.assert_array_equal(worms.time[1:], before[1:])
     np.testing.assert_array_equal(worms.observe()[0][0], alone.observe()[0][0])
-    assert worms.failed.tolist() == [*alone.failed.tolist(), True, False]
-    assert worms.step(pull, np.zeros(3, dtype=bool)).reward.tolist() == [0.0, 0.0, 0.0]
+    assert worms.failed.tolist() == [False, True, False]
+    assert worms.step(pull, ~np.ones(3, dtype=bool)).reward.tolist() == [0.0, 0.0, 0.0]
 
 
 def test_outcomes_of_all_worms() -> None:
