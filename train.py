@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from agents.command_line import as_program, options
 from agents.config import TrainConfig
@@ -12,7 +14,12 @@ NAME = "python train.py"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Read the command line and train; with --resume, whatever is not given is as the run had it."""
+    """Read the command line and train; with --resume, whatever is not given is as the run had it.
+
+    A task may stand in the working directory.
+    """
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)
     config = options(TrainConfig, NAME, arguments)
     if config.resume is not None:
         config = options(TrainConfig, NAME, arguments, resume_settings(config.resume))

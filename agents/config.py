@@ -10,14 +10,14 @@ from typing import Any, Literal, get_args
 
 from lattice_gym.body.muscles import LAYOUTS
 from lattice_gym.envs.fidelity import FidelityName
+from lattice_gym.tasks.base import Task
+from lattice_gym.tasks.registry import resolve_task
 
-Task = Literal["extension", "compression", "bending", "peristalsis", "reach", "crawl", "transport"]
 Control = Literal["muscle", "ring", "column"]
 Engine = Literal["fused", "pyelastica"]
 Observation = Literal["sites", "nodes"]
 
 _CHOICES: dict[str, tuple[str, ...]] = {
-    "task": get_args(Task),
     "control": get_args(Control),
     "engine": get_args(Engine),
     "observation": get_args(Observation),
@@ -49,8 +49,7 @@ _REAL = {
 }
 _WIDTH = "[1, 65536]"
 _SWITCHES = ("anneal", "gsde")
-_SIDEWAYS = ("bending", "reach")  # tasks that muscles alike all around cannot do
-_ONWARD = ("crawl", "transport")  # tasks of strokes that last longer than the five steps that 0.8 looks ahead
+_HINTS = {"control": "muscle", "gamma": 0.9}  # for a task that says nothing of how to learn it
 _OPTIONAL = ("control", "rhythm", "gamma", "time_limit", "num_threads")
 _PLACES = ("design", "muscles", "environment", "run_dir", "resume")  # files of this machine, kept out of config.json
 
@@ -77,14 +76,14 @@ class TrainConfig:
     Raises InputError, a ValueError, that names the field, the value and the bound or choices.
     """
 
-    task: Task = "peristalsis"
-    """What the worm learns to do."""
+    task: str = "peristalsis"
+    """What the worm learns to do: a task of the package by name, or anybody's as module:Class."""
     total_steps: int = 100_000
     """Environment steps to train for, over all worms together [control steps]."""
     seed: int = 0
     """Seed of the policy, the noise and the worms."""
     control: Control | None = None
-    """What one action drives: muscle, level (ring) or side (column); column to bend or reach, else ring."""
+    """What one action drives: muscle, level (ring) or side (column); by default what the task says."""
     rhythm: float | None = None
     """Frequency of a clock whose sine and cosine join the observation [Hz]; none by default."""
     design: Path | None = None
@@ -117,7 +116,7 @@ class TrainConfig:
     anneal: bool = True
     """Let the step size fall linearly over total_steps, to that share which the last rollout is of them."""
     gamma: float | None = None
-    """Discount of the reward, each control step; 0.95 to crawl or transport, else 0.8."""
+    """Discount of the reward, each control step; by default what the task says."""
     gae_lambda: float = 0.95
     """Decay of the generalised advantage estimate, each control step."""
     clip_range: float = 0.2
@@ -148,6 +147,9 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         """Check every field."""
+        if not isinstance(self.task, str):
+            raise InputError(f'task = {self.task!r}: must be a name or "module:Class"')
+        hints = self._hints()
         for name, choices in _CHOICES.items():
             value = getattr(self, name)
             chosen = isinstance(value, str) and value in choices
@@ -160,9 +162,9 @@ class TrainConfig:
             value, whole = getattr(self, name), name in _WHOLE
             if not (value is None and name in _OPTIONAL) and not _is_number(value, interval, whole):
                 raise InputError(f"{name} = {value!r}: must be a {'whole ' if whole else ''}number in {interval}")
-        if self.task in _SIDEWAYS and self.control == "ring" and not (self.muscles or "").endswith(".json"):
+        if hints["control"] == "column" and self.control == "ring" and not (self.muscles or "").endswith(".json"):
             raise InputError(
-                "control = 'ring': must be column or muscle to bend or reach; rings contract alike all around"
+                f"control = 'ring': must be column or muscle for {self.task}; rings contract alike all around"
             )
         sizes = self.hidden_sizes
         if not isinstance(sizes, tuple) or not sizes or not all(_is_number(n, _WIDTH, True) for n in sizes):
@@ -179,14 +181,24 @@ class TrainConfig:
             raise InputError(f"muscles = {self.muscles!r}: must be one of {', '.join(LAYOUTS)}, or a file *.json")
 
     @property
+    def task_class(self) -> type[Task]:
+        """The task itself."""
+        try:
+            return resolve_task(self.task)
+        except ValueError as error:
+            raise InputError(str(error)) from error
+
+    @property
     def driven(self) -> Control:
         """What one action drives: as given, or the grouping with which the task can be learned fast."""
-        return self.control or ("column" if self.task in _SIDEWAYS else "ring")
+        driven: Control = self.control or self._hints()["control"]
+        return driven
 
     @property
     def discount(self) -> float:
         """Discount of the reward: as given, or one that sees as far ahead as the task needs."""
-        return (0.95 if self.task in _ONWARD else 0.8) if self.gamma is None else self.gamma
+        discount: float = self._hints()["gamma"] if self.gamma is None else self.gamma
+        return discount
 
     def resolved(self) -> TrainConfig:
         """Return the settings with what depends on the task filled in, as a run folder keeps them."""
@@ -209,6 +221,10 @@ class TrainConfig:
         if isinstance(settings.get("hidden_sizes"), list):
             settings["hidden_sizes"] = tuple(settings["hidden_sizes"])
         return cls(**settings)
+
+    def _hints(self) -> dict[str, Any]:
+        """Return what the task says of how to learn it."""
+        return _HINTS | dict(self.task_class.training)
 
 
 def _is_layout(muscles: str) -> bool:

@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
+import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import RescaleAction
 from stable_baselines3.common.vec_env import VecCheckNan, VecEnv
 
 from agents.config import InputError
-from agents.outcomes import Judged
-from agents.vector_adapter import WormVecEnv
+from lattice_gym.sb3 import WormVecEnv
 
 Env = gymnasium.Env[Any, Any]
+
+
+class Judged(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Adds `outcome_errors`, the outcome by what was commanded, to the info of every step; see `Task.errors`."""
+
+    def step(self, action: npt.NDArray[Any]) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Take a step of the worm."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        task = cast(Any, self.unwrapped).task
+        info["outcome_errors"] = task.errors(info["outcome"], task.command)
+        return observation, reward, terminated, truncated, info
 
 
 def make_env(arguments: Mapping[str, Any]) -> Env:

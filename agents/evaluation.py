@@ -24,7 +24,7 @@ from agents.run_folder import Run
 from agents.training import gathered, load_model, load_normaliser, worm_seeds
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.tasks.gait import grouped
-from lattice_gym.tasks.registry import gait
+from lattice_gym.tasks.registry import gait, has_gait
 
 PolicyName = Literal["policy", "gait", "nothing", "random"]
 POLICIES: dict[PolicyName, str] = {
@@ -98,6 +98,8 @@ def make_policy(name: PolicyName, run: Run, env: Env) -> Start:
         return trained_policy(run.newest, env)
     if name not in BASELINES:
         raise InputError(f"policy = {name!r}: must be one of {', '.join(POLICIES)}")
+    if name == "gait" and not has_gait(run.config.task_class):
+        raise InputError(f"policy = {name!r}: {run.config.task} has no gait")
     return BASELINES[name]
 
 
@@ -129,7 +131,7 @@ def random_actions(env: Env, seed: int) -> Act:
 def hand_made_gait(env: Env, _seed: int) -> Act:
     """Play the task's open-loop gait; muscles that share an action get the mean over them."""
     worm: Any = env.unwrapped
-    activation = gait(worm.task.name, worm.lattice, worm.layout, worm.task.command)
+    activation = gait(type(worm.task), worm.lattice, worm.layout, worm.task.command)
 
     def act(_observation: Any) -> Action:
         return (2.0 * grouped(activation(worm.time), worm.groups) - 1.0).astype(np.float32)
@@ -192,7 +194,7 @@ def evaluate(
     command: str = "",
     fidelity: FidelityName | None = None,
 ) -> dict[PolicyName, Score]:
-    """Score the newest checkpoint and the baselines on the same seeds and write evaluation.json.
+    """Score the newest checkpoint and the baselines, a gait if the task has one, on the same seeds: evaluation.json.
 
     The worm is computed at the fidelity given, which then is in the name of the file, by default at that of training.
     Raises InputError on a damaged run folder and where an episode would have a seed of training.
@@ -211,6 +213,8 @@ def evaluate(
     checkpoint, progress = run.newest, Progress()
     scores: dict[PolicyName, Score] = {}
     for name, title in POLICIES.items():
+        if name == "gait" and not has_gait(run.config.task_class):
+            continue
         env = make_env(run.env_arguments)  # one each: muscles may carry over what an earlier episode did to them
         start = trained_policy(checkpoint, env) if name == "policy" else BASELINES[name]
         scores[name] = score(env, start, seeds, partial(progress, title))

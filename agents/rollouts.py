@@ -52,7 +52,7 @@ def record(run: Run, policy: PolicyName = "policy", seed: int = EVALUATION_SEED)
         raise InputError(f"seed = {seed}: must be 0 or more")
     env = make_env(run.env_arguments)
     worm: Any = env.unwrapped
-    recorder = Recorder(worm.design, worm.layout, run.config.task, worm.world)
+    recorder = Recorder(worm.design, worm.layout, worm.task.name, worm.world)
     total, progress = 0.0, Progress()
     for number, step in enumerate(play(env, make_policy(policy, run, env), seed)):
         progress(f"recording: step {number}")
@@ -154,13 +154,16 @@ def evaluated(run: Run, fidelity: FidelityName | None = None) -> dict[str, float
         return {}
     report = run_folder.read_json(path)
     try:
-        means = {name: float(report["policies"][name]["return_mean"]) for name in POLICIES}
+        given = report["policies"]
+        means = {name: float(given[name]["return_mean"]) for name in POLICIES if name in given or name != "gait"}
         current = report["steps"] == run.steps
         scored = report.get("fidelity", run.config.fidelity)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: damaged or not of this kind: {error!r}") from error
     note = "" if scored == run.config.fidelity else f" ({scored})"
-    return {title + note: means[name] for name, title in POLICIES.items() if current or name != "policy"}
+    return {
+        title + note: means[name] for name, title in POLICIES.items() if name in means and (current or name != "policy")
+    }
 
 
 def main(

@@ -38,7 +38,6 @@ from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.envs.scene import Scene
 from lattice_gym.recording.files import replacing
 from lattice_gym.recording.provenance import PACKAGES, provenance
-from lattice_gym.tasks.registry import TASKS
 
 CONFIG = "config.json"
 VERSIONS = "versions.json"
@@ -125,7 +124,9 @@ def env_arguments(
 ) -> dict[str, Any]:
     """JSON-safe arguments of `gymnasium.make` for a run's environment; `further` as `read_environment` gives them."""
     return {
-        "id": f"lattice_gym:LatticeWorm{config.task.capitalize()}-v0",
+        "id": "lattice_gym:LatticeWorm-v0",
+        "task": config.task,
+        "max_episode_steps": config.task_class.time_limit,
         "design": design.to_dict(),
         "muscles": muscles.to_dict() if isinstance(muscles, MuscleLayout) else muscles,
         "control": config.driven,
@@ -152,7 +153,7 @@ def requested_arguments(config: TrainConfig) -> dict[str, Any]:
 
     A design file changes the task's own design, by field.
     """
-    own = TASKS[config.task].design
+    own = config.task_class.design
     if config.design is None:
         design = LatticeDesign.from_dict(own)
     else:

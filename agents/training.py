@@ -78,7 +78,7 @@ def _learned(run: Run, config: TrainConfig, began: float) -> TrainingLog:
 
 def create_run(config: TrainConfig) -> Run:
     """Make the run folder with everything but a model; raises InputError if it exists or the worm cannot be built."""
-    path = config.run_dir or Path("runs") / f"{config.task}-{config.seed}-{datetime.now():%Y%m%d-%H%M%S}"
+    path = config.run_dir or Path("runs") / f"{config.task_class.name}-{config.seed}-{datetime.now():%Y%m%d-%H%M%S}"
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise InputError(f"run_dir = {path}: must be a new or empty folder; to continue that run give --resume {path}")
     arguments = run_folder.requested_arguments(config)

@@ -27,7 +27,7 @@ from agents import demo as demo_module
 from agents import run_folder
 from agents.benchmark import PARTS, BenchmarkConfig, Stopwatch, benchmark, format_runs
 from agents.command_line import as_program
-from agents.config import InputError, Task, TrainConfig
+from agents.config import InputError, TrainConfig
 from agents.environments import make_env, make_vector_env
 from agents.evaluation import (
     EVALUATION_SEED,
@@ -42,7 +42,6 @@ from agents.evaluation import (
     score,
 )
 from agents.evaluation import main as evaluation_main
-from agents.outcomes import outcome_errors
 from agents.rollouts import Artefacts, evaluated, export, record
 from agents.run_folder import Run
 from agents.training import TrainingLog, new_model, resume_settings, step_size, train, worm_seeds
@@ -51,7 +50,7 @@ from lattice_gym.body.lattice import build_lattice
 from lattice_gym.recording.files import replacing
 from lattice_gym.recording.trajectory import Trajectory
 from lattice_gym.rendering.extras import extra
-from lattice_gym.tasks.registry import TASKS, gait
+from lattice_gym.tasks.registry import TASKS, design_for, gait
 
 ROOT = Path(__file__).parent.parent
 TINY = TrainConfig(
@@ -123,7 +122,7 @@ def test_every_update_learns(tmp_path: Path) -> None:
 
 def test_discount_goes_by_the_task() -> None:
     """The learner and its normalisation have it, unless another is given."""
-    cases: list[tuple[Task, float | None, float]] = [
+    cases: list[tuple[str, float | None, float]] = [
         ("crawl", None, 0.95),
         ("extension", None, 0.8),
         ("crawl", 0.8, 0.8),
@@ -492,7 +491,7 @@ def test_outcomes_are_judged_by_what_was_asked(
     task: str, command: dict[str, float], outcome: dict[str, float], expected: dict[str, float]
 ) -> None:
     """Numbers that mean the same under every command, with nothing said of the azimuth of an upright worm."""
-    assert outcome_errors(task, command, outcome) == pytest.approx(expected)
+    assert TASKS[task].errors(outcome, command) == pytest.approx(expected)
 
 
 def test_a_design_file_changes_the_tasks_own(tmp_path: Path) -> None:
@@ -500,7 +499,7 @@ def test_a_design_file_changes_the_tasks_own(tmp_path: Path) -> None:
     file = tmp_path / "design.json"
     file.write_text(json.dumps({"diameter": 0.07}))
     arguments = run_folder.requested_arguments(replace(TINY, task="crawl", design=file))
-    assert LatticeDesign(**arguments["design"]) == LatticeDesign(**TASKS["crawl"].design, diameter=0.07)
+    assert LatticeDesign(**arguments["design"]) == design_for("crawl", diameter=0.07)
     file.write_text(LatticeDesign().to_json())
     arguments = run_folder.requested_arguments(replace(TINY, task="crawl", design=file))
     assert LatticeDesign(**arguments["design"]) == LatticeDesign()
@@ -509,7 +508,7 @@ def test_a_design_file_changes_the_tasks_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("task", ["reach", "crawl", "transport"])
-def test_new_worlds_are_learned_in(task: Task, tmp_path: Path) -> None:
+def test_new_worlds_are_learned_in(task: str, tmp_path: Path) -> None:
     """A short run learns, is evaluated beside the gait, and is filmed with what surrounds the worm."""
     config = replace(TINY, task=task, run_dir=tmp_path / task)
     run = Run.open(train(config))
@@ -524,7 +523,7 @@ def test_new_worlds_are_learned_in(task: Task, tmp_path: Path) -> None:
     )
     assert scores["gait"].return_mean > max(scores["nothing"].return_mean, 0.0)
     design = json.loads((run.path / "design.json").read_text())
-    assert LatticeDesign.from_dict(design) == LatticeDesign(**TASKS[task].design)
+    assert LatticeDesign.from_dict(design) == design_for(task)
     trajectory = record(run, "gait")
     assert trajectory.world == TASKS[task].world(build_lattice(trajectory.design))
     assert trajectory.bolus is not None

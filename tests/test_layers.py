@@ -34,6 +34,9 @@ def test_contracts_hold() -> None:
         ("lattice_gym/checks.py", "from lattice_gym.body import lattice", "Imports go one way"),
         ("lattice_gym/checks.py", "import torch", "knows nothing of what learns"),
         ("lattice_gym/checks.py", "from agents import config", "knows nothing of what learns"),
+        ("lattice_gym/envs/vector.py", "import stable_baselines3", "knows nothing of what learns"),
+        ("lattice_gym/sb3.py", "import torch", "knows nothing of what learns"),
+        ("lattice_gym/envs/vector.py", "from lattice_gym import sb3", "Imports go one way"),
         ("agents/config.py", "import train", "know nothing of the command line"),
     ],
 )

@@ -14,15 +14,16 @@ from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from agents.command_line import Progress, as_program, on_signal
-from agents.config import InputError, Task, TrainConfig, within
+from agents.config import InputError, TrainConfig, within
 from agents.run_folder import Run
+from lattice_gym.tasks.registry import TASKS
 from train import main as train_main
 
 ROOT = Path(__file__).parent.parent
@@ -39,6 +40,8 @@ def test_within_agrees_with_comparisons(value: float, low: float, high: float) -
     ("field", "value"),
     [
         ("task", "swimming"),
+        ("task", None),
+        ("task", ["bending"]),
         ("control", "leg"),
         ("engine", "warp"),
         ("observation", "all"),
@@ -86,7 +89,7 @@ def test_bad_settings_name_field_and_value(field: str, value: Any) -> None:
 @given(
     st.builds(
         TrainConfig,
-        task=st.sampled_from(["extension", "compression", "bending", "peristalsis", "reach", "crawl", "transport"]),
+        task=st.sampled_from(list(TASKS)),
         fidelity=st.sampled_from(["fast", "default", "fine"]),
         seed=st.integers(0, 2**32 - 1),
         rhythm=st.none() | st.floats(0.1, 10.0),
@@ -145,8 +148,8 @@ def test_bending_is_not_driven_by_rings() -> None:
 
 def test_discount_depends_on_the_task() -> None:
     """A worm that moves on needs to look further ahead than one that changes its shape."""
-    discounts = {task: TrainConfig(task=task).discount for task in get_args(Task)}
-    assert discounts == dict.fromkeys(get_args(Task), 0.8) | {"crawl": 0.95, "transport": 0.95}
+    discounts = {task: TrainConfig(task=task).discount for task in TASKS}
+    assert discounts == dict.fromkeys(TASKS, 0.8) | {"crawl": 0.95, "transport": 0.95}
     assert TrainConfig(task="crawl", gamma=0.8).resolved() == TrainConfig(task="crawl", gamma=0.8, control="ring")
 
 

@@ -35,7 +35,7 @@ class Twist(Task):
         """Activate the diagonals that lean against the commanded angle, in proportion to it."""
         start, end = np.array([(muscle.start, muscle.end) for muscle in layout.active]).T
         lean = wrap_angle(lattice.site_azimuth[end] - lattice.site_azimuth[start])
-        most = 0.14 if command["angle"] < 0.0 else 0.22  # at full drive, after 2 s [rad]
+        most = 0.15 if command["angle"] < 0.0 else 0.22  # at full drive, after 2 s [rad]
         return hold(np.where(lean * command["angle"] < 0.0, abs(command["angle"]) / most, 0.0))
 
     def command_ranges(self):

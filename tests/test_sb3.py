@@ -17,8 +17,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 from agents.config import InputError
 from agents.environments import make_env, make_vector_env
-from agents.vector_adapter import WormVecEnv
 from lattice_gym import LatticeWormVectorEnv
+from lattice_gym.sb3 import WormVecEnv
 
 IDS = sorted(name for name in gymnasium.registry if name.startswith("LatticeWorm"))
 GOAL = "LatticeWormReachGoal-v0"

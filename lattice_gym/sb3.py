@@ -1,4 +1,7 @@
-"""Worms of a vector environment, as Stable-Baselines3 takes them."""
+"""Worms of a vector environment, as Stable-Baselines3 takes them; needs the extra "train".
+
+The one module of this package that imports Stable-Baselines3, and nothing else here imports it.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +19,17 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from agents.outcomes import outcome_errors
-from lattice_gym import LatticeWormVectorEnv
+from lattice_gym.envs.vector import LatticeWormVectorEnv
+from lattice_gym.tasks.registry import resolve_task
 
 
 class WormVecEnv(VecEnv):
     """Stable-Baselines3's VecEnv of n worms that step together: actions in [-1, 1], episodes summed up and judged.
 
-    It gives what DummyVecEnv gives of n single worms from `make_env`, each in a Monitor, to the last bit, except that
-    the info of a worm in mid-episode is empty. Only where goals are observed does it hold `reward_terms`, by which
-    `compute_reward` pays: hindsight replay needs `copy_info_dict=True`, as for a single worm.
+    It gives what DummyVecEnv gives of n single worms with rescaled actions, each in a Monitor, to the last bit, except
+    that the info of a worm in mid-episode is empty. That of an episode's last step holds `outcome_errors` too, see
+    `Task.errors`. Only where goals are observed do others hold `reward_terms`, by which `compute_reward` pays:
+    hindsight replay needs `copy_info_dict=True`, as for a single worm.
 
     Attributes and methods are those of the bare vector environment, which all worms share.
 
@@ -51,7 +55,7 @@ class WormVecEnv(VecEnv):
         assert isinstance(envs.single_action_space, spaces.Box)
         actions, _, self._commands = rescale_box(envs.single_action_space, np.float32(-1.0), np.float32(1.0))
         super().__init__(envs.num_envs, envs.single_observation_space, actions)
-        self._task: str = bare.spec.kwargs["task"]
+        self._task = resolve_task(bare.spec.kwargs["task"])
         self._has_goals = isinstance(envs.single_observation_space, spaces.Dict)
         self._returns = np.zeros(self.num_envs)
         self._lengths = np.zeros(self.num_envs, dtype=np.int64)
@@ -102,7 +106,7 @@ class WormVecEnv(VecEnv):
     def _ended(self, worm: int, infos: Mapping[str, Any]) -> dict[str, Any]:
         """Info of the episode's last step, with its sums and its outcome by what was commanded."""
         info = _of_worm(infos["final_info"], worm)
-        info["outcome_errors"] = outcome_errors(self._task, self.reset_infos[worm]["command"], info["outcome"])
+        info["outcome_errors"] = self._task.errors(info["outcome"], self.reset_infos[worm]["command"])
         seconds = round(time.time() - self._began, 6)
         info["episode"] = {"r": round(float(self._returns[worm]), 6), "l": int(self._lengths[worm]), "t": seconds}
         info["terminal_observation"] = infos["final_obs"][worm]

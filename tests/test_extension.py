@@ -1,0 +1,168 @@
+"""What the package promises to those who add to it from outside: the example task, in a folder of their own."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import SyncVectorEnv
+
+import lattice_gym
+from agents.config import InputError, TrainConfig
+from agents.evaluation import evaluate
+from agents.rollouts import export
+from agents.run_folder import Run
+from agents.training import train
+
+ROOT = Path(__file__).parent.parent
+SOURCE = ROOT / "docs" / "examples" / "twist.py"
+ID, TASK = "LatticeWorm-v0", "twist:Twist"
+SHORT: dict[str, Any] = {"task": TASK, "fidelity": "fast", "max_episode_steps": 8}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Hold a copy of the example where Python finds it, and forget it afterwards."""
+    (tmp_path / "twist.py").write_text(SOURCE.read_text())
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    sys.modules.pop("twist", None)
+    gymnasium.registry.pop("Twist-v0", None)
+
+
+def _play(env: gymnasium.Env[Any, Any], **options: float) -> tuple[float, dict[str, Any]]:
+    """Return and last info of an episode of the gait."""
+    worm: Any = env.unwrapped
+    _, info = env.reset(seed=0, options=options)
+    wave = lattice_gym.gait(type(worm.task), worm.lattice, worm.layout, info["command"])
+    total, done = 0.0, False
+    while not done:
+        _, reward, terminated, truncated, info = env.step(wave(worm.time))
+        total, done = total + float(reward), terminated or truncated
+    return total, info
+
+
+def test_the_example_is_short() -> None:
+    """At most 40 lines, blank ones and docstrings aside, and it is a task whole."""
+    text = SOURCE.read_text()
+    quoted = sum(
+        node.end_lineno - node.lineno + 1
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and node.end_lineno is not None
+    )
+    assert sum(bool(line.strip()) for line in text.splitlines()) - quoted <= 40
+
+
+@pytest.mark.parametrize("angle", [-0.12, 0.12])
+def test_it_twists(folder: Path, angle: float) -> None:
+    """The gait turns the top either way; nothing is earned by doing nothing."""
+    env = gymnasium.make(ID, task=TASK, max_episode_steps=40)
+    total, info = _play(env, angle=angle)
+    assert info["outcome"]["angle"] == pytest.approx(angle, rel=0.05)
+    assert total > 40.0
+    env.reset(seed=0, options={"angle": angle})
+    _, reward, *_ = env.step(np.zeros(env.action_space.shape))
+    assert reward == pytest.approx(0.0, abs=1e-9)
+
+
+def test_by_class_by_string_and_by_id(folder: Path) -> None:
+    """The same worm, to the last bit, and with the task's own time limit under an id of its own."""
+    from twist import Twist  # type: ignore[import-not-found]
+
+    lattice_gym.register_task(TASK, "Twist-v0")
+    spec = gymnasium.spec("Twist-v0")
+    assert (spec.max_episode_steps, spec.kwargs) == (40, {"task": TASK})
+    made = [gymnasium.make(ID, **SHORT | {"task": task}) for task in (TASK, Twist)]
+    made.append(gymnasium.make("Twist-v0", fidelity="fast", max_episode_steps=8))
+    results = [_play(env) for env in made]
+    assert repr(results[0]) == repr(results[1]) == repr(results[2])
+
+
+def test_registering(folder: Path) -> None:
+    """Twice the same is fine; an id keeps what it is."""
+    from twist import Twist
+
+    for task in (TASK, Twist, TASK):
+        lattice_gym.register_task(task, "Twist-v0")
+    with pytest.raises(ValueError, match=r"^id = 'Twist-v0': is registered already, as EnvSpec\(id='Twist-v0'"):
+        lattice_gym.register_task("bending", "Twist-v0")
+    with pytest.raises(ValueError, match=r"^task = 'twist:Turn': cannot be imported: AttributeError"):
+        lattice_gym.register_task("twist:Turn", "Turn-v0")
+    with pytest.raises(ValueError, match=r"^goals = True: twist is no GoalTask"):
+        lattice_gym.register_task(TASK, "TwistGoal-v0", goals=True)
+    lattice_gym.register_task("crawl", "LatticeWormCrawl-v0")
+
+
+def test_many_are_as_many_alone(folder: Path) -> None:
+    """To the last bit, over a reset."""
+    many = gymnasium.make_vec(ID, 3, **SHORT)
+    single = SyncVectorEnv([lambda: gymnasium.make(ID, **SHORT)] * 3)
+    generator = np.random.default_rng(0)
+    assert np.array_equal(many.reset(seed=5)[0], single.reset(seed=5)[0])
+    for _ in range(12):
+        actions = generator.random(many.action_space.shape or ()).astype(np.float32)
+        for a, b in zip(many.step(actions)[:4], single.step(actions)[:4], strict=True):
+            assert np.array_equal(a, b)
+    many.close()
+
+
+def test_specs_survive_json(folder: Path) -> None:
+    """What is read back makes an equal worm."""
+    env = gymnasium.make(ID, **SHORT, reward_weights={"effort": 0.02})
+    assert env.spec is not None
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert repr(_play(env)) == repr(_play(again))
+    worm: Any = again.unwrapped
+    assert worm.task.weights == {"nearer": 10.0, "effort": 0.02}
+
+
+def test_learning(folder: Path) -> None:
+    """Train from the command line in the task's folder; then evaluation beside its gait, and a video."""
+    sizes = {"n-envs": 2, "n-steps": 40, "batch-size": 40, "total-steps": 80}
+    options = [f"--{name}={value}" for name, value in sizes.items()] + ["--fidelity=fast", "--run-dir=run"]
+    command = [sys.executable, str(ROOT / "train.py"), "--task", TASK, *options]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=os.environ)
+    assert done.returncode == 0, done.stderr
+    run = Run.open(folder / "run")
+    settings = json.loads((run.path / "config.json").read_text())
+    assert (settings["task"], settings["control"], settings["gamma"]) == (TASK, "muscle", 0.8)
+    assert run.env_arguments["max_episode_steps"] == 40
+    scores = evaluate(run.path, episodes=1)
+    assert scores["gait"].return_mean > 5.0 > abs(scores["nothing"].return_mean)
+    assert scores["gait"].outcome_mean.keys() == {"angle"}
+    files = export(run.path, "gait")
+    assert files.video.stat().st_size > 10_000
+    assert files.learning_curve.exists()
+
+
+def test_a_task_without_a_gait_is_scored_without_one(folder: Path) -> None:
+    """And its gait cannot be filmed."""
+    with (folder / "twist.py").open("a") as file:
+        file.write("\n\nclass Plain(Twist):\n    name = 'plain'\n    gait = Task.gait\n")
+    config = TrainConfig(
+        task="twist:Plain", fidelity="fast", total_steps=40, n_envs=1, n_steps=40, batch_size=40, run_dir=folder / "run"
+    )
+    run = train(config)
+    assert evaluate(run, episodes=1).keys() == {"policy", "nothing", "random"}
+    with pytest.raises(InputError, match=r"^policy = 'gait': twist:Plain has no gait"):
+        export(run, "gait")
+
+
+def test_a_task_that_is_not_there() -> None:
+    """One line says which."""
+    command = [sys.executable, "train.py", "--task", "nowhere:Twist"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "task = 'nowhere:Twist': cannot be imported: ModuleNotFoundError" in " ".join(
+        (done.stdout + done.stderr).replace("│", " ").split()
+    )
