@@ -18,6 +18,7 @@ from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.base import Engine
+from lattice_gym.engines.fused.engine import FusedEngine
 from lattice_gym.engines.fused.pack import Pack
 from lattice_gym.engines.health import Status
 from lattice_gym.engines.registry import make_engine
@@ -98,6 +99,9 @@ def test_worms_side_by_side_move_as_alone(name: str) -> None:
         assert set(ends) == {Status.OK}
     apart = np.abs(batch.position[0] - batch.position[1:]).max(axis=(1, 2))
     assert (apart > 0.0).all()
+    assert isinstance(batch, FusedEngine)
+    # What cannot share a pack has one of its own.
+    assert (len(batch.packs) == len(models)) == (name in ("by direction", "contact", "bolus"))
     batch.close()
 
 

@@ -16,8 +16,9 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray, IntArray
-from lattice_gym.engines.fused import kernels
-from lattice_gym.engines.fused.engine import FusedAssembly, FusedEngine
+from lattice_gym.engines.fused.engine import FusedEngine
+from lattice_gym.engines.fused.kernels import contact as kernel
+from lattice_gym.engines.fused.pack import Pack
 from lattice_gym.engines.pyelastica.contact import touchable_pairs
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import Simulation, simulate
@@ -241,10 +242,10 @@ def test_how_short_it_gets_hangs_little_on_the_mesh(tension: float, share: float
     assert coarse == pytest.approx(fine, rel=share)
 
 
-def assembly(engine: Simulation) -> FusedAssembly:
-    """Compiled assembly of a simulation."""
+def pack_of(engine: Simulation) -> Pack:
+    """Pack of a simulation."""
     assert isinstance(engine.engine, FusedEngine)
-    return engine.engine._worms[0]
+    return engine.engine.packs[0]
 
 
 def engine_of(model: RodModel) -> Simulation:
@@ -252,11 +253,11 @@ def engine_of(model: RodModel) -> Simulation:
     return simulate("fused", model, 1e-5)
 
 
-def listed(engine: Simulation) -> tuple[IntArray, kernels.Contact]:
+def listed(engine: Simulation) -> tuple[IntArray, kernel.Contact]:
     """Pairs of elements that the compiled code lists as they stand, sorted, and its tables."""
-    tables = assembly(engine)._contact
+    tables = pack_of(engine).scene.contact
     assert tables is not None
-    pairs, count = kernels.list_pairs(assembly(engine)._cells, tables)
+    pairs, count = kernel.list_pairs(pack_of(engine).blocks.cells, tables)
     pairs = contact.touchable(engine.model)[pairs[:count]]
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))], tables
 
@@ -346,7 +347,7 @@ def test_nearest_points(whole: list[int], noise: float, seed: int) -> None:
     (a, p), (b, q) = ends
     s, t = (float(share[0]) for share in contact.nearest(a[None], (p - a)[None], b[None], (q - b)[None]))
     distance = np.linalg.norm(a + s * (p - a) - b - t * (q - b))
-    s2, t2, *gap, square = kernels._nearest(ends, 0, 1)
+    s2, t2, *gap, square = kernel.nearest(ends, 0, 1)
     assert np.linalg.norm(a + s2 * (p - a) - b - t2 * (q - b) - gap) < 1e-12
     lengths = float(np.linalg.norm(p - a) + np.linalg.norm(q - b))
     sine = np.linalg.norm(np.cross(p - a, q - b)) / (np.linalg.norm(p - a) * np.linalg.norm(q - b))
@@ -374,7 +375,7 @@ def test_cost_grows_with_size() -> None:
     assert 8.0 <= kept[1] / kept[0] < 14.0
 
 
-def crowd(tables: kernels.Contact) -> int:
+def crowd(tables: kernel.Contact) -> int:
     """Elements in one list of the grid's table, at most."""
     most = 0
     for element in tables.head.tolist():
@@ -395,7 +396,7 @@ def test_a_diverging_run_costs_no_more(where: float, n_gone: int) -> None:
     before = crowd(tables)
     gone = start.copy()
     gone.position[:n_gone] += where
-    assembly(engine).restore(gone)
+    pack_of(engine).restore(0, gone)
     assert len(listed(engine)[0]) <= len(sound)
     assert crowd(tables) <= 2 * before
     engine.restore(start)
@@ -409,9 +410,10 @@ def test_when_the_list_was_made_does_not_show(room: int) -> None:
     model = scattered(np.random.default_rng(0), 60, 0.15)
     first, second = engine_of(model), engine_of(model)
     for engine in (first, second):
-        tables = assembly(engine)._contact
+        tables = pack_of(engine).scene.contact
         assert tables is not None
-        assembly(engine)._contact = tables._replace(pairs=np.zeros((room, 2), np.int64))
+        tables = tables._replace(pairs=np.zeros((room, 2), np.int64))
+        pack_of(engine).scene = pack_of(engine).scene._replace(contact=tables)
     start = model.rest_state().copy()
     start.velocity[:] = np.random.default_rng(1).normal(0.0, 0.3, start.velocity.shape)
     first.restore(start)

@@ -17,7 +17,7 @@ BETWEEN_STEPS = {"base", "activation", "adaptation"}
 """What else stands among the laws: what they have in common, and what acts once a control step."""
 ENGINES = {"fused": "engines/fused/kernels", "pyelastica": "engines/pyelastica"}
 """Where each engine has its laws."""
-TO_SPLIT = {"physics/laws": {"damping", "hill", "contact"}, "engines/fused/kernels": set[str]()}
+TO_SPLIT = {"physics/laws": {"damping", "hill", "contact"}}
 """Folders whose laws are not all in files of their own, with those that are; to go with the last of them."""
 
 

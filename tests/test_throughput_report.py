@@ -148,9 +148,9 @@ def test_record_bytes_are_those_of_the_engine(pairs: int) -> None:
     """With one block of rods and with two, and muscles beside them."""
     lattice = build_lattice(LatticeDesign(n_pairs=pairs, period_ratio=pairs / scaling.LEVELS_PER_PAIR))
     model = build_model(lattice, named_layout("all", lattice))
-    engine = simulate("fused", model, 1e-5)
+    engine = simulate("fused", model, 1e-5).engine
     assert isinstance(engine, FusedEngine)
-    assert record_bytes(model) == engine._cells.nbytes
+    assert record_bytes(model) == engine.packs[0].blocks.cells.nbytes
 
 
 # PyElastica

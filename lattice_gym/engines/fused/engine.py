@@ -28,6 +28,11 @@ class FusedEngine(Engine):
     """Compiled engine: worms with the same features (see `pack.Features`) share packs, and packs share threads.
 
     With a ball, contact, friction by direction or the energy check each worm has a pack of its own.
+
+    Attributes
+    ----------
+    packs : list of Pack
+        Where the worms are.
     """
 
     def __init__(
@@ -44,7 +49,7 @@ class FusedEngine(Engine):
             models, dt, splitting, energy_check=energy_check, step_check=step_check, num_threads=num_threads
         )
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
-        self._packs: dict[_Key, Pack] = {}
+        self._by_key: dict[_Key, Pack] = {}
         self._arrange()
 
     def _group(self, worm: int, model: RodModel) -> _Group:
@@ -58,18 +63,19 @@ class FusedEngine(Engine):
         for worm, model in enumerate(self.models):
             groups[self._group(worm, model)].append(worm)
         shown = Shown(self.position, self.velocity, self.bolus_position, self.bolus_velocity)
-        before, self._packs = self._packs, {}
+        before, self._by_key = self._by_key, {}
         for group, worms in groups.items():
             for rows in np.array_split(worms, _pack_count(self.models[worms[0]], len(worms), self.num_threads)):
                 key, models = (group, tuple(rows.tolist())), [self.models[worm] for worm in rows]
-                self._packs[key] = before.get(key) or Pack(
+                self._by_key[key] = before.get(key) or Pack(
                     models, self.dt, self.splitting, self.energy_check, rows, shown
                 )
-        places = {worm: (pack, place) for pack in self._packs.values() for place, worm in enumerate(pack.rows.tolist())}
+        self.packs = list(self._by_key.values())
+        places = {worm: (pack, place) for pack in self.packs for place, worm in enumerate(pack.rows.tolist())}
         self._places = [places[worm] for worm in range(self.n_worm)]
 
     def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> IntArray:
-        packs = list(self._packs.values())
+        packs = self.packs
         if len(packs) == 1:
             return packs[0].advance(start, end, n_substeps)
         codes, waiting = np.zeros(self.n_worm, np.int64), iter(packs)
