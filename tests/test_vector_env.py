@@ -20,8 +20,10 @@ from hypothesis import strategies as st
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.checks import FloatArray
+from lattice_gym.envs.core import Worms
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.goal import LatticeWormGoalVectorEnv
+from lattice_gym.envs.scene import Scene
 from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.tasks.base import LEAST_PENALTY
 from lattice_gym.tasks.registry import TASKS
@@ -189,6 +191,31 @@ def test_a_worm_that_diverges_ends_alone(task: str, mode: AutoresetMode) -> None
         for action in pull:
             seen, quiet = native.step(action)[0], alone.step(0.0 * action)[0]
             np.testing.assert_array_equal(seen[[0, 2]], quiet[[0, 2]])
+
+
+def test_a_worm_that_does_not_step_earns_nothing() -> None:
+    """Nor moves on in time, whether it failed before or not; the others step as they would alone."""
+    scene = Scene("extension", design=SMALL)
+    worms, alone = Worms(scene, 3), Worms(scene, 1)
+    for worm in range(3):
+        worms.begin(worm, np.random.default_rng(0))
+    alone.begin(0, np.random.default_rng(0))
+    torn = worms.state(1)
+    torn.velocity[scene.lattice.n_node // 2] = 1e6
+    worms.restore(torn, 1)
+    pull = np.full((3, scene.n_group), 0.5)
+    first, _ = worms.step(pull), alone.step(pull[:1])
+    assert first.over.tolist() == worms.failed.tolist() == [False, True, False]
+    assert first.reward[1] == -worms.task.penalty
+    live, before = np.array([True, False, False]), worms.time
+    for _ in range(2):
+        result, expected = worms.step(pull, live), alone.step(pull[:1])
+        assert result.reward.tolist() == [expected.reward[0], 0.0, 0.0]
+        assert not result.over.any()
+    np.testing.assert_array_equal(worms.time[1:], before[1:])
+    np.testing.assert_array_equal(worms.observe()[0][0], alone.observe()[0][0])
+    assert worms.failed.tolist() == [False, True, False]
+    assert worms.step(pull, ~np.ones(3, dtype=bool)).reward.tolist() == [0.0, 0.0, 0.0]
 
 
 def test_outcomes_of_all_worms() -> None:

@@ -73,6 +73,8 @@ class Worms:
         Commands of the last step, as clipped, 0 at the start of an episode, shape (n_worm, n_group).
     n_step : array
         Control steps since each episode began, shape (n_worm,), one that failed included.
+    sound_time : array
+        Time since each episode began of what `motion` shows [s], shape (n_worm,): that of the last sound step.
     failed : array
         Whose physics failed in its last step, shape (n_worm,).
     observer : Observer
@@ -94,7 +96,7 @@ class Worms:
         self._activation = scene.activation.rest((n_worm, scene.n_group))
         self._foreign_law = type(scene.activation) not in ACTIVATIONS.values()
         self.previous_action = np.zeros((n_worm, scene.n_group))
-        self.n_step = np.zeros(n_worm, dtype=np.int64)
+        self.n_step, self.sound_time = np.zeros(n_worm, dtype=np.int64), np.zeros(n_worm)
         self.failed = np.zeros(n_worm, dtype=np.bool_)
         n_muscle = len(scene.groups)
         self._use = None if scene.adaptation is None else scene.adaptation.untrained((n_worm, n_muscle))
@@ -122,11 +124,6 @@ class Worms:
     def time(self) -> FloatArray:
         """Time since each episode began [s], at the end of its last step, be it one that failed, shape (n_worm,)."""
         return np.asarray(self.n_step * self.scene.control_dt, dtype=np.float64)
-
-    @property
-    def sound_time(self) -> FloatArray:
-        """Time of what `motion` shows [s], shape (n_worm,): `time`, or that of the step before one that failed."""
-        return np.asarray((self.n_step - self.failed) * self.scene.control_dt, dtype=np.float64)
 
     @property
     def measures(self) -> Measures:
@@ -178,7 +175,7 @@ class Worms:
         self.task.begin(generator, options, worm)
         self._activation[:, worm] = scene.activation.rest(scene.n_group)
         self.previous_action[worm] = 0.0
-        self.n_step[worm], self.failed[worm] = 0, False
+        self.n_step[worm], self.sound_time[worm], self.failed[worm] = 0, 0.0, False
         info: dict[str, Any] = {"command": self.task.command_of(worm), "status": OK}
         if scene.randomisation is not None and self._pull is not None:
             factors = scene.randomisation.draw(generator, len(scene.groups))
@@ -207,7 +204,6 @@ class Worms:
             Worms that step; None: all. Of the others nothing is asked, and they earn nothing.
         """
         scene, before = self.scene, self._activation
-        live = np.ones(self.n_worm, dtype=np.bool_) if live is None else live
         after = scene.activation.advance(before, command, scene.control_dt)
         if self._foreign_law and not ((after[0] >= 0.0) & (after[0] <= 1.0)).all():
             raise ValueError(f"{type(scene.activation).__name__}.advance: activations must stay from 0 to 1")
@@ -219,12 +215,13 @@ class Worms:
             self.task.strength = math.prod(factors[1:], start=factors[0])
             tension *= self.task.strength
         sound = self._advance(tension, live)
-        self.n_step += live
+        self.n_step += 1 if live is None else live
         if whole := bool(sound.all()):
             self.failed[:] = False
-            self._activation, self.previous_action = after, command.copy()
+            self.sound_time, self._activation, self.previous_action = self.time, after, command.copy()
         else:
-            self.failed = np.where(live, ~sound, self.failed)
+            self.failed = ~sound if live is None else np.where(live, ~sound, self.failed)
+            self.sound_time = np.where(sound, self.time, self.sound_time)
             self._activation = np.where(sound[:, None], after, before)
             self.previous_action = np.where(sound[:, None], command, self.previous_action)
         if scene.adaptation is not None and self._use is not None:
@@ -234,7 +231,8 @@ class Worms:
         terms, over = self._scored(None if whole else sound, live), self.task.over(self.motion)
         reward: FloatArray = np.asarray(sum(terms.values()))
         self._watch(reward if whole else reward[sound])
-        return Step(terms, reward, over if whole else live & (~sound | over))
+        over = over | self.failed
+        return Step(terms, reward, over if live is None else over & live)
 
     def close(self) -> None:
         """End the engine's threads; a later step would begin new ones."""
@@ -269,24 +267,26 @@ class Worms:
             *map(_read_only, (engine.position, engine.velocity, engine.bolus_position, engine.bolus_velocity))
         )
 
-    def _advance(self, tension: FloatArray, live: Mask) -> Mask:
+    def _advance(self, tension: FloatArray, live: Mask | None) -> Mask:
         """Advance live worms under tensions [N], shape (2, n_worm, n_muscle), and tell which of them are sound."""
-        if not live.all():
+        if live is not None and not live.all():
             if not live.any():
                 return live.copy()
             for worm in (self.failed & ~live).nonzero()[0].tolist():
                 self.engine.restore(worm, self.scene.start)
             tension[:, ~live] = 0.0
-        sound: Mask = live & (self.engine.advance(tension, self.scene.n_substeps) == 0)
+        sound: Mask = self.engine.advance(tension, self.scene.n_substeps) == 0
+        if live is not None:
+            sound &= live
         if self._kept is not None:
-            for worm in live.nonzero()[0].tolist():
+            for worm in range(self.n_worm) if live is None else live.nonzero()[0].tolist():
                 if sound[worm]:
                     self._kept[worm] = self.engine.state(worm)
                 else:
                     self.engine.restore(worm, self._kept[worm])
         return sound
 
-    def _scored(self, sound: Mask | None, live: Mask) -> dict[str, FloatArray]:
+    def _scored(self, sound: Mask | None, live: Mask | None) -> dict[str, FloatArray]:
         """Reward terms of the step that ends, shape (n_worm,) each; None: all worms are sound."""
         lost = None if sound is None else np.flatnonzero(~sound)
         memory = {} if lost is None else self.task.remembered(lost)
@@ -296,7 +296,7 @@ class Worms:
             self.task.remind(lost, memory)
             for values in terms.values():
                 values[lost] = 0.0
-            terms[DIVERGENCE][self.failed & live] = -self.task.penalty
+            terms[DIVERGENCE][self.failed if live is None else self.failed & live] = -self.task.penalty
         return terms
 
     def _watch(self, reward: FloatArray) -> None:
