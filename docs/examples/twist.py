@@ -1,8 +1,4 @@
-"""A task of your own: turn the top of the worm about its axis. In this folder: `python train.py --task twist:Twist`.
-
-All that is known of a task stands in its class; `lattice_gym.Task` says what else there may be. An id of its own, with
-its time limit, comes from `lattice_gym.register_task("twist:Twist", "Twist-v0")`.
-"""
+"""A task of your own: turn the top of the worm about its axis. `docs/tasks.md` explains it part by part."""
 
 from typing import ClassVar
 
