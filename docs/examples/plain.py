@@ -15,7 +15,7 @@ from lattice_gym.physics.laws.damping import DampingLaw, coefficients, damping_s
 
 
 class PlainEngine(Engine):
-    """Slow and short. It has neither ball nor friction nor ledger, and refuses what asks for one."""
+    """Slow and short: no ball, no ground, no ledger. With the "pyelastica" splitting it agrees with the others."""
 
     def __init__(self, models, dt, splitting="pyelastica", **options):
         super().__init__(models, dt, splitting, **options)
