@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 import pickle
 from pathlib import Path
 from typing import Any, ClassVar
@@ -233,15 +232,6 @@ def test_the_page_has_the_table_of_all_terms() -> None:
     """`docs/observations.md` says of every term what the package says."""
     scene = Scene(observation=list(TERMS), rhythm=1.0, adaptation={}, world={"ground": {}})
     assert table(Worms(scene).observer.terms) in DOCS.read_text()
-
-
-def test_examples_of_the_page_run(tmp_path: Path) -> None:
-    """As they stand, one after the other."""
-    blocks = DOCS.read_text().split("```python\n")[1:]
-    space: dict[str, Any] = {"__name__": "page"}
-    for block in blocks:
-        exec(block.split("```")[0], space)
-    assert json.dumps(list(space["env"].unwrapped.observation_slices)[-1]) == '"strain"'
 
 
 def test_wrappers_need_no_private_name() -> None:

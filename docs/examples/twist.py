@@ -1,4 +1,4 @@
-"""A task of your own: turn the top of the worm. In this folder: `python train.py --task twist:Twist`."""
+"""A task of your own: turn the top of the worm about its axis. `docs/tasks.md` explains it part by part."""
 
 import numpy as np
 
