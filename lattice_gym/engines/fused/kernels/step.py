@@ -47,7 +47,7 @@ class Scene(NamedTuple):
 
     A field goes on to each function that uses it as an argument of its own: numba compiles no branch that a None
     argument rules out, but reads the fields of a tuple only when it runs. So the functions of a law do nothing where it
-    is None, and `advance` calls them all.
+    is None, and `run` calls them all.
     """
 
     joints: Joints
@@ -66,14 +66,10 @@ class Scene(NamedTuple):
 
 @entry
 def run(blocks: Blocks, scene: Scene, worms: Worms, n_steps: int, dt: float) -> None:
-    """Advance all worms in place, inspect each and write out where the nodes of the sound ones are."""
-    advance(blocks, scene, n_steps, dt)
-    inspect(blocks.cells, blocks.passive, blocks.active, worms, scene.joints, scene.lines, scene.ball)
+    """Advance all worms in place by n_steps of position Verlet, inspect each and write out the nodes of the sound ones.
 
-
-@compiled
-def advance(blocks: Blocks, scene: Scene, n_steps: int, dt: float) -> None:
-    """Advance an assembly in place by n_steps of position Verlet; NaN spreads, and nothing raises."""
+    NaN spreads, and nothing raises.
+    """
     cells, work, passive, active = blocks
     joints, joint_damping, lines, hill = scene.joints, scene.joint_damping, scene.lines, scene.hill
     ground, ball, contact, account = scene.ground, scene.ball, scene.contact, scene.account
@@ -105,6 +101,7 @@ def advance(blocks: Blocks, scene: Scene, n_steps: int, dt: float) -> None:
     end_contacts(contact, pairs)
     account_muscles(cells, active, hill, account, True, 0.5)
     account_lines(cells, lines, hill, account, True, 0.5)
+    inspect(cells, passive, active, worms, joints, lines, ball)
 
 
 @compiled
