@@ -557,7 +557,9 @@ def _made(part: Any) -> Any:
 def make_model(call: list[tuple[str, Any]]) -> None:
     """Check that a model that is taken can be stepped, whatever comes of it."""
     rods = good_rod(), straight_rod(**{**_ROD, "start": (1, 0, 0), "end": (1, 0, 1)})
-    parts = {name: [_made(part) for part in given] if isinstance(given, list) else given for name, given in call}
+    parts: dict[str, Any] = {
+        name: [_made(part) for part in given] if isinstance(given, list) else given for name, given in call
+    }
     model = RodModel(rods=rods, **parts)
     engine = simulate("fused", model, 1e-9)
     with np.errstate(all="ignore"):
