@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -21,9 +21,10 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from agents import run_folder
 from agents.command_line import as_program, options
-from agents.config import InputError, TrainConfig
+from agents.config import InputError, Settings, TrainConfig
 from agents.environments import Env, make_env, make_vector_env
 from agents.training import new_model
+from lattice_gym.checks import checked, count, flag, items, whole
 from lattice_gym.engines.base import Engine
 from lattice_gym.recording.provenance import footer
 
@@ -38,29 +39,27 @@ Measured = dict[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchmarkConfig:
+class BenchmarkConfig(Settings):
     """What to time; every figure is the median over repeats that take turns."""
 
     train: TrainConfig = field(default_factory=TrainConfig)
     """Run whose worms and learner are timed; its total_steps, run_dir and checkpoints play no part."""
-    throughput: bool = False
+    throughput: bool = checked(False, flag)
     """Time runs of as many worms as `worms` says, in place of train.n_envs."""
-    worms: tuple[int, ...] = (2, 8, 32)
+    worms: tuple[int, ...] = checked((2, 8, 32), items, each=partial(whole, low=1), what="numbers of worms")
     """Numbers of worms for --throughput."""
-    repeats: int = 7
+    repeats: int = count(7, 1)
     """Times that everything is measured."""
-    steps: int = 200
+    steps: int = count(200, 1)
     """Control steps of each worm in one measurement of stepping."""
-    updates: int = 2
+    updates: int = count(2, 1)
     """Updates in one measurement of learning."""
     output: Path = Path("runs/benchmark.json")
     """Report to write."""
 
     def __post_init__(self) -> None:
-        """Check the counts."""
-        for name in ("repeats", "steps", "updates"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} = {getattr(self, name)}: must be 1 or more")
+        """Check every field, and the runs that they give."""
+        super().__post_init__()
         if not self.worms:
             raise InputError("worms = (): must name at least one number of worms")
         _ = self.runs

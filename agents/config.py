@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from lattice_gym.body.muscles import LAYOUTS
+from lattice_gym.checks import Parameters, checked, choice, count, flag, instance, items, names, real, require, whole
 from lattice_gym.engines.registry import ENGINES, EngineName
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.tasks.base import Task
@@ -16,39 +19,7 @@ from lattice_gym.tasks.registry import resolve_task
 
 Control = Literal["muscle", "ring", "column"]
 
-_CHOICES: dict[str, tuple[str, ...]] = {
-    "control": get_args(Control),
-    "engine": tuple(ENGINES),
-    "fidelity": get_args(FidelityName),
-}
-_WHOLE = {
-    "total_steps": "[1, inf)",
-    "seed": "[0, 4294967295]",
-    "n_envs": "[1, 256]",
-    "n_steps": "[2, inf)",
-    "batch_size": "[2, inf)",
-    "n_epochs": "[1, inf)",
-    "checkpoint_every": "[1, inf)",
-    "num_threads": "[1, 256]",
-    "torch_threads": "[1, 256]",
-}
-_REAL = {
-    "rhythm": "(0, inf)",
-    "control_dt": "(0, inf)",
-    "learning_rate": "(0, 1]",
-    "gamma": "(0, 1]",
-    "gae_lambda": "[0, 1]",
-    "clip_range": "(0, 1]",
-    "entropy_coefficient": "[0, inf)",
-    "value_coefficient": "[0, inf)",
-    "max_gradient_norm": "(0, inf)",
-    "log_std_init": "[-10, 2]",
-    "time_limit": "(0, inf)",
-}
-_WIDTH = "[1, 65536]"
-_SWITCHES = ("anneal", "gsde")
 _HINTS = {"control": "muscle", "gamma": 0.9}  # for a task that says nothing of how to learn it
-_OPTIONAL = ("control", "rhythm", "gamma", "time_limit", "num_threads")
 _PLACES = ("design", "muscles", "environment", "run_dir", "resume")  # files of this machine, kept out of config.json
 
 
@@ -56,139 +27,137 @@ class InputError(ValueError):
     """Input that cannot be used; the command lines print it without a traceback."""
 
 
-def within(value: float, interval: str) -> bool:
-    """Whether `value` lies in an interval written as in mathematics, such as "(0, 1]"; NaN never does."""
-    match = re.fullmatch(r"([\[(])(\S+), (\S+)([\])])", interval)
-    if match is None:
-        raise ValueError(f"interval = {interval!r}: must be of the form '(low, high]'")
-    opening, low, high, closing = match.groups()
-    above = value >= float(low) if opening == "[" else value > float(low)
-    below = value <= float(high) if closing == "]" else value < float(high)
-    return above and below
+@contextmanager
+def input_errors() -> Iterator[None]:
+    """Raise a ValueError of the body as an InputError."""
+    try:
+        yield
+    except ValueError as error:
+        raise InputError(str(error)) from error
+
+
+class Settings(Parameters):
+    """Parameters that are options of a command line: an InputError names one as it is given there."""
+
+    def __post_init__(self) -> None:
+        with input_errors():
+            super().__post_init__()
+
+    @classmethod
+    def _label(cls, name: str) -> str:
+        return name
+
+
+def _is_file(muscles: object) -> bool:
+    return isinstance(muscles, str) and muscles.endswith(".json")
+
+
+def _muscles(name: str, given: object) -> str:
+    return str(given) if _is_file(given) else choice(name, given, LAYOUTS, "a file *.json")
+
+
+def _terms(name: str, given: object) -> tuple[str, ...]:
+    terms = items(name, given, partial(instance, kind=str), what="names of terms")
+    require(len(terms) > 0, f"{name} = (): must name at least one term")
+    return terms
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainConfig:
+class TrainConfig(Settings):
     """One training run of PPO on a lattice worm.
 
     Raises InputError, a ValueError, that names the field, the value and the bound or choices.
     """
 
-    task: str = "peristalsis"
+    task: str = checked("peristalsis", instance, kind=str, how=", a task's name or module:Class")
     """What the worm learns to do: a task of the package by name, or anybody's as module:Class."""
-    total_steps: int = 100_000
+    total_steps: int = count(100_000, 1)
     """Environment steps to train for, over all worms together [control steps]."""
-    seed: int = 0
+    seed: int = count(0, 0, 2**32 - 1)
     """Seed of the policy, the noise and the worms."""
-    control: Control | None = None
+    control: Control | None = checked(None, choice, choices=get_args(Control), none=True)
     """What one action drives: muscle, level (ring) or side (column); by default what the task says."""
-    rhythm: float | None = None
+    rhythm: float | None = real(None, 0.0, inf, "Hz", above=True, none=True)
     """Frequency of a clock whose sine and cosine join the observation [Hz]; none by default."""
-    design: Path | None = None
+    design: Path | None = checked(None, instance, kind=Path, none=True)
     """JSON file of a LatticeDesign, or of the fields that differ from the task's own; the task's own if not given."""
-    muscles: str | None = None
+    muscles: str | None = checked(None, _muscles, none=True)
     """Name of a muscle layout (extension, compression, bending, all) or its JSON file; the task's own if not given."""
-    environment: Path | None = None
+    environment: Path | None = checked(None, instance, kind=Path, none=True)
     """JSON file of further arguments of LatticeWormEnv by name, such as world, command, hill, adaptation, randomise."""
-    engine: EngineName = "fused"
+    engine: EngineName = checked("fused", choice, choices=tuple(ENGINES))
     """What integrates the rods: fused, or pyelastica, the reference."""
-    control_dt: float = 0.05
+    control_dt: float = real(0.05, 0.0, inf, "s", above=True)
     """Time between two actions [s]."""
-    observation: tuple[str, ...] | None = None
+    observation: tuple[str, ...] | None = checked(None, _terms, none=True)
     """What the policy sees: terms by name, or module:Class; by default what the task says, most often sites (where
     rods cross), activation and command, and then the clock if there is a rhythm."""
-    fidelity: FidelityName = "default"
+    fidelity: FidelityName = checked("default", choice, choices=get_args(FidelityName))
     """How finely the worm is computed: fast is three times cheaper, to be scored on default or fine."""
 
-    n_envs: int = 8
+    n_envs: int = count(8, 1, 256)
     """Worms simulated side by side, in this process."""
-    num_threads: int | None = None
+    num_threads: int | None = count(None, 1, 256, none=True)
     """Threads that the worms share; one a core by default. They change nothing but the time it takes."""
-    n_steps: int = 128
+    n_steps: int = count(128, 2)
     """Steps of each worm between two updates [control steps]."""
-    batch_size: int = 256
+    batch_size: int = count(256, 2)
     """Samples in a gradient step [control steps]; divides n_envs * n_steps."""
-    n_epochs: int = 10
+    n_epochs: int = count(10, 1)
     """Passes over the samples at an update."""
-    learning_rate: float = 1e-3
+    learning_rate: float = real(1e-3, 0.0, 1.0, "1", above=True)
     """Step size of Adam."""
-    anneal: bool = True
+    anneal: bool = checked(True, flag)
     """Let the step size fall linearly over total_steps, to that share which the last rollout is of them."""
-    gamma: float | None = None
+    gamma: float | None = real(None, 0.0, 1.0, "1", above=True, none=True)
     """Discount of the reward, each control step; by default what the task says."""
-    gae_lambda: float = 0.95
+    gae_lambda: float = real(0.95, 0.0, 1.0, "1")
     """Decay of the generalised advantage estimate, each control step."""
-    clip_range: float = 0.2
+    clip_range: float = real(0.2, 0.0, 1.0, "1", above=True)
     """Largest change of an action's probability ratio at an update."""
-    entropy_coefficient: float = 0.0
+    entropy_coefficient: float = real(0.0, 0.0, inf, "1")
     """Weight of the entropy bonus in the loss."""
-    value_coefficient: float = 0.5
+    value_coefficient: float = real(0.5, 0.0, inf, "1")
     """Weight of the value error in the loss."""
-    max_gradient_norm: float = 0.5
+    max_gradient_norm: float = real(0.5, 0.0, inf, "1", above=True)
     """Gradients longer than this are shortened to it."""
-    hidden_sizes: tuple[int, ...] = (64, 64)
+    hidden_sizes: tuple[int, ...] = checked((64, 64), items, each=partial(whole, low=1, high=65536), what="widths")
     """Widths of the hidden layers of policy and value function [units]."""
-    log_std_init: float = -1.0
+    log_std_init: float = real(-1.0, -10.0, 2.0, "1")
     """Natural logarithm of the first standard deviation of the actions, which span [-1, 1]."""
-    gsde: bool = False
+    gsde: bool = checked(False, flag)
     """Explore with noise that depends on the state (gSDE) instead of white noise."""
 
-    checkpoint_every: int = 10_000
+    checkpoint_every: int = count(10_000, 1)
     """Environment steps between two checkpoints [control steps]; written after the update that follows."""
-    time_limit: float | None = None
+    time_limit: float | None = real(None, 0.0, inf, "s", above=True, none=True)
     """Stop after this much wall time [s], with a checkpoint, but not annealed: anneal goes by total_steps alone."""
-    torch_threads: int = 1
+    torch_threads: int = count(1, 1, 256)
     """Threads of the learner, which works while the worms wait."""
-    run_dir: Path | None = None
+    run_dir: Path | None = checked(None, instance, kind=Path, none=True)
     """Run folder; runs/<task>-<seed>-<time> if not given."""
-    resume: Path | None = None
+    resume: Path | None = checked(None, instance, kind=Path, none=True)
     """Run folder to continue, with its own settings; total-steps, time-limit and num-threads may be given beside it."""
 
     def __post_init__(self) -> None:
-        """Check every field."""
-        if not isinstance(self.task, str):
-            raise InputError(f'task = {self.task!r}: must be a name or "module:Class"')
-        hints = self._hints()
-        for name, choices in _CHOICES.items():
-            value = getattr(self, name)
-            chosen = isinstance(value, str) and value in choices
-            if not chosen and not (name in _OPTIONAL and value is None):
-                raise InputError(f"{name} = {value!r}: must be one of {', '.join(choices)}")
-        for name in _SWITCHES:
-            if not isinstance(getattr(self, name), bool):
-                raise InputError(f"{name} = {getattr(self, name)!r}: must be true or false")
-        for name, interval in (_WHOLE | _REAL).items():
-            value, whole = getattr(self, name), name in _WHOLE
-            if not (value is None and name in _OPTIONAL) and not _is_number(value, interval, whole):
-                raise InputError(f"{name} = {value!r}: must be a {'whole ' if whole else ''}number in {interval}")
-        if hints["control"] == "column" and self.control == "ring" and not (self.muscles or "").endswith(".json"):
-            raise InputError(
-                f"control = 'ring': must be column or muscle for {self.task}; rings contract alike all around"
-            )
-        sizes = self.hidden_sizes
-        if not isinstance(sizes, tuple) or not sizes or not all(_is_number(n, _WIDTH, True) for n in sizes):
-            raise InputError(f"hidden_sizes = {sizes!r}: must be a tuple of whole numbers in {_WIDTH}")
-        seen = self.observation
-        if seen is not None and not (isinstance(seen, tuple) and seen and all(isinstance(term, str) for term in seen)):
-            raise InputError(f"observation = {seen!r}: must be a tuple of names of terms")
+        """Check every field, and what must hold between them."""
+        super().__post_init__()
+        if self._hints()["control"] == "column" and self.control == "ring" and not _is_file(self.muscles):
+            must = f"must be column or muscle for {self.task}; rings contract alike all around"
+            raise InputError(f"control = 'ring': {must}")
+        if not self.hidden_sizes:
+            raise InputError("hidden_sizes = (): must have at least one layer")
         if self.n_envs * self.n_steps % self.batch_size:
             samples = f"{self.n_envs} * {self.n_steps} = {self.n_envs * self.n_steps}"
             raise InputError(
                 f"batch_size = {self.batch_size}: must divide n_envs * n_steps = {samples}; change one of the three"
             )
-        for name in ("design", "environment", "run_dir", "resume"):
-            if not isinstance(getattr(self, name), Path | None):
-                raise InputError(f"{name} = {getattr(self, name)!r}: must be a path")
-        if self.muscles is not None and not (isinstance(self.muscles, str) and _is_layout(self.muscles)):
-            raise InputError(f"muscles = {self.muscles!r}: must be one of {', '.join(LAYOUTS)}, or a file *.json")
 
     @property
     def task_class(self) -> type[Task]:
         """The task itself."""
-        try:
+        with input_errors():
             return resolve_task(self.task)
-        except ValueError as error:
-            raise InputError(str(error)) from error
 
     @property
     def driven(self) -> Control:
@@ -208,32 +177,14 @@ class TrainConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON-safe values, without the places on this machine (design, run_dir, ...)."""
-        settings = {name: value for name, value in asdict(self).items() if name not in _PLACES}
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in settings.items()}
+        return {name: value for name, value in super().to_dict().items() if name not in _PLACES}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TrainConfig:
         """Build settings from `to_dict`; an unknown name raises InputError."""
-        if not isinstance(values, Mapping):
-            raise InputError(f"settings = {values!r}: must be a mapping of names to values")
-        known = {field.name for field in fields(cls)} - set(_PLACES)
-        if unknown := sorted(set(values) - known):
-            raise InputError(f"{unknown[0]}: unknown setting; known are {', '.join(sorted(known))}")
-        settings = dict(values)
-        for name in ("hidden_sizes", "observation"):
-            if isinstance(settings.get(name), list):
-                settings[name] = tuple(settings[name])
-        return cls(**settings)
+        with input_errors():
+            return cls(**names("settings", values, [item.name for item in fields(cls) if item.name not in _PLACES]))
 
     def _hints(self) -> dict[str, Any]:
         """Return what the task says of how to learn it."""
         return _HINTS | dict(self.task_class.training)
-
-
-def _is_layout(muscles: str) -> bool:
-    return muscles in LAYOUTS or muscles.endswith(".json")
-
-
-def _is_number(value: object, interval: str, whole: bool) -> bool:
-    kinds = int if whole else (int, float)
-    return isinstance(value, kinds) and not isinstance(value, bool) and within(value, interval)

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import RescaleAction
 from stable_baselines3.common.vec_env import VecCheckNan, VecEnv
 
-from agents.config import InputError
+from agents.config import input_errors
 from lattice_gym.sb3 import WormVecEnv
 
 Env = gymnasium.Env[Any, Any]
@@ -31,10 +31,8 @@ class Judged(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 def make_env(arguments: Mapping[str, Any]) -> Env:
     """Environment with actions in [-1, 1] and `outcome_errors` in info; raises InputError if it cannot be built."""
-    try:
+    with input_errors():
         env = gymnasium.make(**arguments)
-    except ValueError as error:
-        raise InputError(str(error)) from error
     return Judged(RescaleAction(env, np.float32(-1.0), np.float32(1.0)))
 
 
@@ -44,8 +42,6 @@ def make_vector_env(arguments: Mapping[str, Any], n_envs: int, num_threads: int 
     Raises InputError if they cannot be built; NaN or infinity on the way between worms and learner raises ValueError.
     """
     batch: dict[str, Any] = {"num_envs": n_envs, "num_threads": num_threads, "autoreset_mode": AutoresetMode.SAME_STEP}
-    try:
+    with input_errors():
         envs = gymnasium.make_vec(**arguments, **batch)
-    except ValueError as error:
-        raise InputError(str(error)) from error
     return VecCheckNan(WormVecEnv(envs), raise_exception=True)

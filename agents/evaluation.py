@@ -18,10 +18,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from agents import run_folder
 from agents.command_line import Progress
 from agents.command_line import run as run_program
-from agents.config import InputError
+from agents.config import InputError, input_errors
 from agents.environments import Env, make_env
 from agents.run_folder import Run
 from agents.training import gathered, load_model, load_normaliser, worm_seeds
+from lattice_gym.checks import choice, whole
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.tasks.gait import grouped
 from lattice_gym.tasks.registry import gait, has_gait
@@ -96,8 +97,8 @@ def make_policy(name: PolicyName, run: Run, env: Env) -> Start:
     """Policy by its name; raises InputError if the run's model cannot be read or the name is unknown."""
     if name == "policy":
         return trained_policy(run.newest, env)
-    if name not in BASELINES:
-        raise InputError(f"policy = {name!r}: must be one of {', '.join(POLICIES)}")
+    with input_errors():
+        choice("policy", name, POLICIES)
     if name == "gait" and not has_gait(run.config.task_class):
         raise InputError(f"policy = {name!r}: {run.config.task} has no gait")
     return BASELINES[name]
@@ -199,10 +200,8 @@ def evaluate(
     The worm is computed at the fidelity given, which then is in the name of the file, by default at that of training.
     Raises InputError on a damaged run folder and where an episode would have a seed of training.
     """
-    if episodes < 1:
-        raise InputError(f"episodes = {episodes}: must be 1 or more")
-    if seed < 0:
-        raise InputError(f"seed = {seed}: must be 0 or more")
+    with input_errors():
+        episodes, seed = whole("episodes", episodes, 1), whole("seed", seed, 0)
     run = Run.open(path).at(fidelity)
     sessions = run_folder.read_sessions(path / run_folder.VERSIONS)
     seeds = range(seed, seed + episodes)

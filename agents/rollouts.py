@@ -12,10 +12,11 @@ import tyro
 from agents import run_folder
 from agents.command_line import Progress
 from agents.command_line import run as run_program
-from agents.config import InputError
+from agents.config import InputError, input_errors
 from agents.environments import make_env
 from agents.evaluation import EVALUATION_SEED, POLICIES, PolicyName, make_policy, play
 from agents.run_folder import Run
+from lattice_gym.checks import whole
 from lattice_gym.envs.core import OK
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.recording.files import replacing
@@ -48,8 +49,8 @@ def record(run: Run, policy: PolicyName = "policy", seed: int = EVALUATION_SEED)
 
     An episode that diverged ends with its last sound state again, at the time of the step that failed, and its status.
     """
-    if seed < 0:
-        raise InputError(f"seed = {seed}: must be 0 or more")
+    with input_errors():
+        seed = whole("seed", seed, 0)
     env = make_env(run.env_arguments)
     worm: Any = env.unwrapped
     recorder = Recorder(worm.design, worm.layout, worm.task.name, worm.world)

@@ -30,10 +30,11 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
-from agents.config import InputError, TrainConfig
+from agents.config import InputError, TrainConfig, input_errors
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import MuscleLayout, resolve_layout
+from lattice_gym.checks import choice, whole
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.envs.scene import Scene
 from lattice_gym.recording.files import replacing
@@ -87,8 +88,8 @@ class Run:
         """Run with its worm computed as finely as that, None: as in training; InputError if it cannot be."""
         if fidelity is None or fidelity == self.fidelity:
             return self
-        if fidelity not in get_args(FidelityName):
-            raise InputError(f"fidelity = {fidelity!r}: must be one of {', '.join(get_args(FidelityName))}")
+        with input_errors():
+            choice("fidelity", fidelity, get_args(FidelityName))
         if "nodes" in (self.config.observation or self.config.task_class.observation):
             raise InputError(
                 f"fidelity = {fidelity!r}: must be {self.fidelity!r}, as {self.path} observes all nodes, not sites"
@@ -223,8 +224,7 @@ def read_sessions(path: Path) -> list[dict[str, Any]]:
         if not isinstance(sessions, list):
             raise ValueError("not a list of sessions")
         for session in sessions:
-            if not isinstance(session["from_step"], int) or session["from_step"] < 0:
-                raise ValueError(f"from_step = {session['from_step']!r}: must be a number of steps")
+            session["from_step"] = whole("from_step", session["from_step"], 0)
         return sessions
 
     return read_file(path, read)

@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Set
 from contextlib import suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from functools import partial
 from math import inf
-from numbers import Integral, Real
-from typing import Any, ClassVar, Self, TypeGuard, TypeVar
+from numbers import Real
+from pkgutil import resolve_name
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -90,6 +91,19 @@ def instance(name: str, value: object, kind: type[T], how: str = "") -> T:
     raise refused(name, value, f"must be {kind.__name__}{how}")
 
 
+def subclass(name: str, value: object, kind: type[T], known: Mapping[str, type[T]]) -> type[T]:
+    """Class by its name among the known ones, by "module:Class", or itself."""
+    found = known.get(value, value) if isinstance(value, str) else value
+    if isinstance(found, str) and ":" in found:
+        try:
+            found = resolve_name(found)
+        except Exception as error:  # whatever the module raises
+            raise refused(name, value, f"cannot be imported: {type(error).__name__}: {error}") from error
+    if isinstance(found, type) and issubclass(found, kind):
+        return found
+    raise refused(name, value, f'must be one of {", ".join(known)}, a subclass of {kind.__name__} or "module:Class"')
+
+
 def array(
     name: str,
     values: npt.ArrayLike,
@@ -100,6 +114,7 @@ def array(
     *,
     above: bool = False,
     spread: bool = False,
+    read_only: bool = False,
     dtype: npt.DTypeLike = np.float64,
 ) -> npt.NDArray[Any]:
     """Copy of values as an array of finite numbers, each as `number` takes it.
@@ -129,6 +144,7 @@ def array(
         place = tuple(np.argwhere(~sound)[0].tolist())
         label = f"{name}[{', '.join(map(str, place))}]" if place else name
         raise refused(label, copy[place].item(), _must_be("number", low, high, unit, above))
+    copy.flags.writeable = not read_only
     return copy
 
 
@@ -152,7 +168,7 @@ def names(name: str, values: object, known: Collection[str], what: str = "values
         raise refused(name, values, f"must be a mapping of names to {what}")
     for given in values:
         if given not in known:
-            raise ValueError(f"{name}: there is no {shown(given)}; there are {', '.join(known)}")
+            raise ValueError(f"{name}: there is no {shown(given)}; there are {', '.join(known) or 'none'}")
     return values
 
 
@@ -191,7 +207,11 @@ def _must_be(kind: str, low: float, high: float, unit: str = "", above: bool = F
     return f"must be a {kind}{within}{f' [{unit}]' if unit else ''}"
 
 
-@dataclass(frozen=True, kw_only=True)
+REQUIRED: Any = MISSING
+"""Default of a field of `Parameters` that must be given."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Parameters:
     """Values given by name, each checked as its field declares by `real`, `count` or `checked`."""
 
@@ -221,11 +241,11 @@ class Parameters:
     @classmethod
     def resolve(cls, name: str, given: object) -> Self | None:
         """Take an object, its dict form or None."""
-        if given is None or isinstance(given, cls):
-            return given
+        if given is None:
+            return None
         if isinstance(given, Mapping):
             return cls.from_dict(given)
-        raise refused(name, given, f"must be {cls.__name__}, its dict form or None")
+        return instance(name, given, cls, ", its dict form or None")
 
 
 def _plain(value: Any) -> Any:
@@ -248,83 +268,3 @@ def real(default: float | None, low: float, high: float, unit: str, *, above: bo
 def count(default: int | None, low: int = 0, high: float = inf, *, none: bool = False) -> Any:
     """Field that holds a `whole` number."""
     return checked(default, whole, low=low, high=high, none=none)
-
-
-# What is left of earlier checks, until physics, tasks, envs and agents use those above.
-
-Bounds = dict[str, tuple[float, float, str]]
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    """Tell whether a value is a real number; True and False are not."""
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-
-
-def finite_number(value: object) -> float | None:
-    """Finite real number as a float, or None; True and False are none."""
-    if isinstance(value, Real) and not isinstance(value, bool):
-        try:
-            number = float(value)
-        except OverflowError:
-            return None
-        if math.isfinite(number):
-            return number
-    return None
-
-
-def whole_number(value: object) -> int | None:
-    """Whole number as an int, or None; True and False are none."""
-    return int(value) if isinstance(value, Integral) and not isinstance(value, bool) else None
-
-
-def real_array(name: str, values: npt.ArrayLike) -> FloatArray:
-    """Copy of values as an array of floats; a ValueError of that name if they are not all finite real numbers."""
-    try:
-        given = np.asarray(values)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name}: must be an array of real numbers, got {shown(values)}") from None
-    if given.dtype.kind not in "fiu" and given.size:
-        raise ValueError(f"{name}: must be an array of real numbers, got {shown(values)}")
-    with np.errstate(over="ignore"):
-        array = given.astype(np.float64) if given.size else np.zeros(given.shape)
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name}: must be finite")
-    return array
-
-
-def known_fields(kind: type, values: Mapping[str, Any], what: str) -> Mapping[str, Any]:
-    """Values whose names are all fields of a kind; anything else is a ValueError."""
-    if not isinstance(values, Mapping):
-        raise ValueError(f"{kind.__name__}: must be a mapping of names to {what}, got {shown(values)}")
-    known = [item.name for item in fields(kind)]
-    unknown = [name for name in values if name not in known]
-    if unknown:
-        raise ValueError(f"{kind.__name__}: has no {unknown[0]!r}; it has {', '.join(known)}")
-    return values
-
-
-@dataclass(frozen=True, kw_only=True)
-class Part(Parameters):
-    """Numbers within bounds, given by name; anything else is a ValueError that names the field."""
-
-    bounds: ClassVar[Bounds]
-    """Least and largest value of every number, both included, and its unit."""
-    optional: ClassVar[tuple[str, ...]] = ()
-    """Numbers that may be None."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name, (low, high, unit) in self.bounds.items():
-            given = getattr(self, name)
-            if given is None and name in self.optional:
-                continue
-            number = finite_number(given)
-            if number is None or not low <= number <= high:
-                label = f"{type(self).__name__}.{name} = {shown(given)}"
-                raise ValueError(f"{label}: must be a number from {low:g} to {high:g} [{unit}]")
-            object.__setattr__(self, name, number)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Make it from its fields by name; those that are missing have their defaults."""
-        return cls(**known_fields(cls, values, "numbers"))

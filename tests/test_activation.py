@@ -156,7 +156,7 @@ def test_laws_are_resolved() -> None:
         (3, r"activation = 3: must be one of 'first_order', 'thelen', 'twitch', 'module:Class'"),
         ({}, r"activation = \{\}"),
         ({"law": 1}, "activation = "),
-        ({"law": "thelen", "speed": 1.0}, "Thelen: has no 'speed'"),
+        ({"law": "thelen", "speed": 1.0}, "Thelen: there is no 'speed'"),
         ({"law": "thelen", "rise_time": 0.0}, r"Thelen.rise_time = 0.0: must be a number from 1e-06 to 1e\+06 \[s\]"),
         ("twich", "activation law = 'twich': must be one of"),
         ("no_such_module:Law", "activation law = 'no_such_module:Law': cannot be imported"),
@@ -222,8 +222,8 @@ def test_activation_input_is_left_alone() -> None:
 @pytest.mark.parametrize(
     ("values", "named"),
     [
-        ({"activation": np.array([math.nan])}, "activation: must be finite"),
-        ({"command": np.array([math.inf])}, "command: must be finite"),
+        ({"activation": np.array([math.nan])}, r"activation\[0\] = nan"),
+        ({"command": np.array([math.inf])}, r"command\[0\] = inf"),
         ({"command": np.zeros(2)}, r"command has shape \(2,\)"),
         ({"duration": -1.0}, "duration = -1.0"),
         ({"duration": math.nan}, "duration = nan"),

@@ -22,7 +22,7 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import asdict, dataclass, fields, replace
 from decimal import Decimal
 from fractions import Fraction
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,7 @@ from lattice_gym.body.muscles import (
     tie,
     vertical,
 )
-from lattice_gym.checks import Part
+from lattice_gym.checks import Parameters
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.physics.assembly import Clamp, RodModel
@@ -324,14 +324,14 @@ _MUSCLE_FUNCTIONS = st.sampled_from(sorted(_MUSCLE_CALLS)).flatmap(
 # Environments
 
 
-def _parts_of(kind: type[Part]) -> st.SearchStrategy[dict[str, Any]]:
-    """Draw some fields of a part: in bounds, or junk."""
+def _parts_of(kind: type[Parameters]) -> st.SearchStrategy[dict[str, Any]]:
+    """Draw some fields of parameters: in bounds, or junk."""
 
-    def value(name: str) -> st.SearchStrategy[Any]:
-        low, high, _ = kind.bounds.get(name, (0.0, 1.0, ""))
-        return st.one_of(st.floats(low, high), st.booleans(), st.sampled_from(["episode", "continuous"]), JUNK)
+    def value(bounds: Mapping[str, Any]) -> st.SearchStrategy[Any]:
+        within = st.floats(bounds.get("low", 0.0), bounds.get("high", 1.0))
+        return st.one_of(within, st.booleans(), st.sampled_from(["episode", "continuous"]), JUNK)
 
-    return st.fixed_dictionaries({}, optional={spec.name: value(spec.name) for spec in fields(kind)})
+    return st.fixed_dictionaries({}, optional={spec.name: value(spec.metadata) for spec in fields(kind)})
 
 
 _ENV: dict[str, Any] = {
@@ -383,7 +383,7 @@ def make_env(call: dict[str, Any]) -> None:
 _LIVING = st.sampled_from([Adaptation, Hill]).flatmap(lambda kind: st.tuples(st.just(kind), _parts_of(kind)))
 
 
-def make_living(call: tuple[type[Part], dict[str, Any]]) -> None:
+def make_living(call: tuple[type[Parameters], dict[str, Any]]) -> None:
     """Check that what is taken comes back the same from its dict form."""
     kind, values = call
     made = kind(**values)
@@ -545,13 +545,22 @@ def _part(name: str) -> st.SearchStrategy[tuple[str, Any]]:
     if name in _AROUND:
         return st.tuples(st.just(name), _AROUND[name])
     kind, values = _PARTS[name]
-    whole = st.builds(kind, **values) if values else st.one_of(st.integers(-1, 3), JUNK)
+    made = st.fixed_dictionaries(values).map(lambda drawn: partial(kind, **drawn))  # made where refusals are counted
+    whole = made if values else st.one_of(st.integers(-1, 3), JUNK)
     return st.tuples(st.just(name), st.one_of(st.lists(st.one_of(whole, whole, whole, JUNK), max_size=2), JUNK))
+
+
+def _made(part: Any) -> Any:
+    return part() if isinstance(part, partial) else part
 
 
 def make_model(call: list[tuple[str, Any]]) -> None:
     """Check that a model that is taken can be stepped, whatever comes of it."""
-    model = RodModel(rods=(good_rod(), straight_rod(**{**_ROD, "start": (1, 0, 0), "end": (1, 0, 1)})), **dict(call))
+    rods = good_rod(), straight_rod(**{**_ROD, "start": (1, 0, 0), "end": (1, 0, 1)})
+    parts: dict[str, Any] = {
+        name: [_made(part) for part in given] if isinstance(given, list) else given for name, given in call
+    }
+    model = RodModel(rods=rods, **parts)
     engine = simulate("fused", model, 1e-9)
     with np.errstate(all="ignore"):
         engine.advance(np.zeros(model.n_muscle), 1)
@@ -734,12 +743,12 @@ TARGETS = [
         _fixed("engine", "dt", "splitting", "energy_check", "tension", "n_substeps", "RodState"),
     ),
     Target("Rod and straight_rod", _RODS, make_rod, lambda call: (*_ROD, *_ROD_PARTS)),
-    Target("RodModel", _MODELS, make_model, lambda call: tuple(name for name, _ in call)),
+    Target("RodModel", _MODELS, make_model, lambda call: tuple(name.rstrip("s") for name, _ in call)),
     Target(
         "World",
         _WORLDS,
         make_world,
-        lambda call: (*_FULL_WORLD, *(field for part in _AROUND_PARTS.values() for field in part.bounds)),
+        lambda call: (*_FULL_WORLD, *(field for part in _AROUND_PARTS.values() for field in part().to_dict())),
     ),
     Target("Trajectory and Recorder", _TRAJECTORIES, make_trajectory, lambda call: (*call[1],)),
     Target("Trajectory.load", _FILES, make_trajectory_file, _fixed("damaged.npz")),

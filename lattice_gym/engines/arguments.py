@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from typing import get_args
 
 import numpy.typing as npt
 
-from lattice_gym.checks import FloatArray, finite_number, real_array, shown, whole_number
+from lattice_gym.checks import FloatArray, array, optional, refused, shown, whole
 from lattice_gym.physics.assembly import RodModel
-from lattice_gym.physics.laws.damping import Splitting
 
 MAX_STEPS = 2**62
 """What the step counter of the compiled code holds."""
@@ -19,7 +17,7 @@ MAX_STEPS = 2**62
 def models_of_one_shape(models: Sequence[RodModel]) -> list[RodModel]:
     """Models as a list, if there is one at least and all are of one shape, see `difference_in_shape`."""
     if not isinstance(models, Sequence) or len(models) == 0 or not isinstance(models[0], RodModel):
-        raise ValueError(f"models = {shown(models)}: must be a sequence of RodModel, at least one")
+        raise refused("models", models, "must be a sequence of RodModel, at least one")
     for worm, model in enumerate(models):
         if (differs := difference_in_shape(models[0], model)) is not None:
             raise ValueError(f"models[{worm}]: must have the shape of models[0], but differs in {differs}")
@@ -44,35 +42,9 @@ def difference_in_shape(model: RodModel, other: object) -> str | None:
     return next((name for name, part in parts.items() if part(model) != part(other)), None)
 
 
-def positive_step(dt: float) -> float:
-    """Time step [s]."""
-    if (step := finite_number(dt)) is None or step <= 0.0:
-        raise ValueError(f"dt = {shown(dt)}: must be positive and finite [s]")
-    return step
-
-
-def known_splitting(splitting: Splitting) -> Splitting:
-    """Return one of the splittings that there are."""
-    if not isinstance(splitting, str) or splitting not in get_args(Splitting):
-        raise ValueError(f"splitting = {shown(splitting)}: must be one of {', '.join(get_args(Splitting))}")
-    return splitting
-
-
-def flag(name: str, value: bool) -> bool:
-    """Return what is True or False."""
-    if not isinstance(value, bool):
-        raise ValueError(f"{name} = {shown(value)}: must be True or False")
-    return value
-
-
 def thread_count(num_threads: int | None) -> int:
     """How many threads to use at most; None: as many as there are cores for this process."""
-    if num_threads is None:
-        return available_cores()
-    count = whole_number(num_threads)
-    if count is None or count < 1:
-        raise ValueError(f"num_threads = {shown(num_threads)}: must be a whole number, at least 1, or None")
-    return count
+    return optional(whole, "num_threads", num_threads, 1) or available_cores()
 
 
 def available_cores() -> int:
@@ -82,17 +54,7 @@ def available_cores() -> int:
 
 def tension_ramp(tension: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
     """Tensions at the start and the end of a call [N], both of the given shape."""
-    pull = real_array("tension", tension)
+    pull = array("tension", tension, low=0.0, unit="N")
     if pull.shape not in (shape, (2, *shape)):
-        raise ValueError(f"tension: shape must be {shape} or {(2, *shape)}, got {pull.shape}")
-    if (pull < 0.0).any():
-        raise ValueError("tension: must be finite and not negative [N]")
+        raise ValueError(f"tension has shape {pull.shape}: must have {shape} or {(2, *shape)}")
     return (pull[0], pull[1]) if pull.ndim > len(shape) else (pull, pull)
-
-
-def step_count(n_substeps: int) -> int:
-    """Return a number of steps that the compiled code can count."""
-    count = whole_number(n_substeps)
-    if count is None or not 1 <= count <= MAX_STEPS:
-        raise ValueError(f"n_substeps = {shown(n_substeps)}: must be a whole number, at least 1")
-    return count

@@ -12,18 +12,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.checks import FloatArray, IntArray, choice, flag, number, whole
 from lattice_gym.engines.arguments import (
+    MAX_STEPS,
     difference_in_shape,
-    flag,
-    known_splitting,
     models_of_one_shape,
-    positive_step,
-    step_count,
     tension_ramp,
     thread_count,
 )
@@ -89,11 +87,11 @@ class Engine(ABC):
         step_check: bool = False,
         num_threads: int | None = None,
     ) -> None:
-        self.splitting = known_splitting(splitting)
+        self.splitting: Splitting = choice("splitting", splitting, get_args(Splitting))
         self.energy_check, self.step_check = flag("energy_check", energy_check), flag("step_check", step_check)
         self.models = models_of_one_shape(models)
         self.n_worm = len(self.models)
-        self.dt = positive_step(dt)
+        self.dt = number("dt", dt, 0.0, unit="s", above=True)
         self.num_threads = thread_count(num_threads)
         model = self.models[0]
         self.position, self.velocity = np.zeros((2, self.n_worm, model.n_node, 3))
@@ -126,7 +124,7 @@ class Engine(ABC):
             Wrong shape, a tension that is negative or not finite, or no step.
         """
         start, end = tension_ramp(tension, (self.n_worm, self.models[0].n_muscle))
-        count = step_count(n_substeps)
+        count = whole("n_substeps", n_substeps, 1, MAX_STEPS)
         if self._audits or self._finer is not None:
             return self._advance_checked(start, end, count)
         codes = np.array(self._advance(start, end, count), np.int64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pkgutil
 from collections.abc import Sequence
 
-from lattice_gym.checks import shown
+from lattice_gym.checks import choice
 from lattice_gym.engines.base import Engine
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.damping import Splitting
@@ -22,9 +22,7 @@ EngineName = str
 
 def engine_class(name: EngineName) -> type[Engine]:
     """Class of an engine, or a ValueError that names those that there are."""
-    if not isinstance(name, str) or name not in ENGINES:
-        raise ValueError(f"engine = {shown(name)}: must be one of {', '.join(ENGINES)}")
-    made: type[Engine] = pkgutil.resolve_name(ENGINES[name])
+    made: type[Engine] = pkgutil.resolve_name(ENGINES[choice("engine", name, ENGINES)])
     return made
 
 

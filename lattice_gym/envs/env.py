@@ -11,12 +11,12 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from lattice_gym.body.design import LatticeDesign
-from lattice_gym.checks import FloatArray, IntArray, shown, whole_number
+from lattice_gym.checks import FloatArray, IntArray, choice, optional, whole
 from lattice_gym.envs.core import Worms
 from lattice_gym.envs.observation import Observation
 from lattice_gym.envs.pictures import RENDER_MODES, Pictures
 from lattice_gym.envs.registration import warn_of_time_limit
-from lattice_gym.envs.scene import Scene, check_choice
+from lattice_gym.envs.scene import Scene
 from lattice_gym.physics.state import RodState
 from lattice_gym.tasks.base import Task
 
@@ -327,7 +327,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
-        self.render_mode = checked_render_mode(render_mode)
+        self.render_mode = optional(choice, "render_mode", render_mode, RENDER_MODES)
         self.scene = scene = Scene(task, design, goals_apart=self._goals_apart, **arguments)
         self.worms = Worms(scene, keep_state=True)
         self.task = self.worms.task
@@ -372,7 +372,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode at rest; options hold commanded numbers, by name, for this episode."""
-        super().reset(seed=None if seed is None else seed_of(seed))
+        super().reset(seed=optional(whole, "seed", seed, 0))
         warn_of_time_limit(self.spec, self.scene.task, int(self.worms.n_step[0]))
         info = self.worms.begin(0, self.np_random, options)
         self._running = True
@@ -438,21 +438,6 @@ def clipped_command(action: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[Floa
         raise ValueError(f"action: must not be NaN, got NaN in {np.argwhere(np.isnan(given)).tolist()}")
     command = np.minimum(np.maximum(command, 0.0), 1.0)
     return command, (command != given).sum(axis=-1)
-
-
-def seed_of(seed: object) -> int:
-    """Seed as a whole number, or a ValueError."""
-    number = whole_number(seed)
-    if number is None or number < 0:
-        raise ValueError(f"seed = {shown(seed)}: must be None or a whole number, 0 or more")
-    return number
-
-
-def checked_render_mode(render_mode: str | None) -> str | None:
-    """Render mode, or a ValueError."""
-    if render_mode is not None:
-        check_choice("render_mode", render_mode, RENDER_MODES)
-    return render_mode
 
 
 def _first(values: Mapping[str, FloatArray]) -> dict[str, float]:

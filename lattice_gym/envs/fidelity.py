@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal
 
 from lattice_gym.body.design import MAX_ELEMENTS, LatticeDesign
+from lattice_gym.checks import choice
 from lattice_gym.physics.laws.damping import Splitting
 
 FidelityName = Literal["fast", "default", "fine"]
@@ -44,6 +45,4 @@ FIDELITIES: dict[FidelityName, Fidelity] = {
 
 def named_fidelity(name: FidelityName) -> Fidelity:
     """Fidelity by name; an unknown one is a ValueError."""
-    if not isinstance(name, str) or name not in FIDELITIES:
-        raise ValueError(f"fidelity = {name!r}: must be one of {', '.join(get_args(FidelityName))}")
-    return FIDELITIES[name]
+    return FIDELITIES[choice("fidelity", name, FIDELITIES)]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.checks import FloatArray, shown
+from lattice_gym.checks import FloatArray, refused
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.tasks.base import DIVERGENCE, GoalTask, Task
@@ -72,7 +72,7 @@ def _infos(info: Any, count: int) -> list[Mapping[str, Any]]:
         given = [info]
     infos: list[Mapping[str, Any]] = [{} if entry is None else entry for entry in given]
     if not all(isinstance(entry, Mapping) for entry in infos):
-        raise ValueError(f"info = {shown(info)}: must be a mapping, None or a sequence of them")
+        raise refused("info", info, "must be a mapping, None or a sequence of them")
     if len(infos) != count and not isinstance(info, Mapping | None):
         raise ValueError(f"info: must be one mapping, or as many as there are goals, {count}, got {len(infos)}")
     return infos

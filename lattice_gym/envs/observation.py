@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from inspect import getdoc
-from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from lattice_gym.checks import FloatArray, IntArray, shown
+from lattice_gym.checks import FloatArray, IntArray, refused, subclass
 from lattice_gym.envs.terms import TERMS, ObservationTerm
 from lattice_gym.tasks.base import COMMAND_BOUND, GoalTask, Task
 
@@ -44,8 +43,11 @@ def resolve_terms(observation: object, scene: Scene) -> tuple[type[ObservationTe
     if not isinstance(observation, list | tuple) or len(observation) == 0:
         first = [observation] if isinstance(observation, str) and observation in TERMS else default[:1]
         example = str([*first, *default[1:]]).replace("'", '"')
-        raise ValueError(f"observation = {shown(observation)}: must be a list of terms; write {example}")
-    terms = tuple(_term(f"observation[{place}]", term) for place, term in enumerate(observation))
+        raise refused("observation", observation, f"must be a list of terms; write {example}")
+    terms = tuple(
+        subclass(f"observation[{place}]", term, ObservationTerm, TERMS)  # type: ignore[type-abstract]
+        for place, term in enumerate(observation)
+    )
     names = [term.name for term in terms]
     for name in names:
         if names.count(name) > 1:
@@ -55,23 +57,6 @@ def resolve_terms(observation: object, scene: Scene) -> tuple[type[ObservationTe
             why = f"rhythm = {scene.rhythm:g}" if name == "clock" else "adaptation.observed = True"
             raise ValueError(f'{why}: is not observed; add "{name}" to observation')
     return terms
-
-
-def _term(label: str, term: object) -> type[ObservationTerm]:
-    """Class of one term."""
-    if isinstance(term, str) and term in TERMS:
-        return TERMS[term]
-    found: object = term
-    if isinstance(term, str) and ":" in term:
-        try:
-            found = resolve_name(term)
-        except (ImportError, AttributeError, ValueError) as error:
-            raise ValueError(f"{label} = {shown(term)}: cannot be imported: {error}") from error
-    if isinstance(found, type) and issubclass(found, ObservationTerm):
-        return found
-    raise ValueError(
-        f'{label} = {shown(term)}: must be one of {", ".join(TERMS)}, a subclass of ObservationTerm or "module:Class"'
-    )
 
 
 class Observer:

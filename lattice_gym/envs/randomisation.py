@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray, finite_number, shown
+from lattice_gym.checks import FloatArray, items, names, number, refused
 from lattice_gym.physics.assembly import RodModel
 
 BODY = ("structure_youngs_modulus", "muscle_youngs_modulus", "damping")
@@ -16,6 +17,7 @@ BODY = ("structure_youngs_modulus", "muscle_youngs_modulus", "damping")
 NAMES = (*BODY, "max_tension", "strength")
 LEAST_FACTOR, MOST_FACTOR = 0.01, 100.0
 """Bounds of every factor."""
+_factor = partial(number, low=LEAST_FACTOR, high=MOST_FACTOR)
 
 Factors = Mapping[str, float | FloatArray]
 """Factors of a worm by name; that of "strength" holds one for each muscle, shape (n_muscle,)."""
@@ -39,19 +41,11 @@ class Randomisation:
         """
         if given is None:
             return None
-        if not isinstance(given, Mapping):
-            raise ValueError(f"randomise = {shown(given)}: must be a mapping of names to pairs of factors, or None")
         ranges = {}
-        for name, pair in given.items():
-            if name not in NAMES:
-                raise ValueError(f"randomise: there is no {name!r}; there are {', '.join(NAMES)}")
-            ends = [finite_number(end) for end in pair] if isinstance(pair, list | tuple | np.ndarray) else []
-            low, high = (-1.0 if end is None else end for end in ends) if len(ends) == 2 else (-1.0, -1.0)
-            if not LEAST_FACTOR <= low <= high <= MOST_FACTOR:
-                raise ValueError(
-                    f"randomise[{name!r}] = {shown(pair)}: must be a pair of factors from {LEAST_FACTOR:g} to "
-                    f"{MOST_FACTOR:g}, the lower first"
-                )
+        for name, pair in names("randomise", given, NAMES, "pairs of factors").items():
+            low, high = items(f"randomise[{name!r}]", pair, _factor, 2, "factors, the lower first")
+            if low > high:
+                raise refused(f"randomise[{name!r}]", pair, "must have the lower first")
             ranges[name] = (low, high)
         return cls(ranges) if ranges else None
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
-from typing import Any
+from typing import Any, get_args
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import MuscleLayout, control_groups, resolve_layout
-from lattice_gym.checks import IntArray, Part, is_number, shown
+from lattice_gym.checks import IntArray, Parameters, choice, flag, instance, number, optional, refused
 from lattice_gym.engines.registry import ENGINES, EngineName
 from lattice_gym.envs.fidelity import FidelityName, named_fidelity
 from lattice_gym.envs.observation import TermLike, resolve_terms
@@ -100,9 +99,10 @@ class Scene:
         goals_apart: bool = False,
     ) -> None:
         self.task, self.goals_apart = _task(task, goals_apart), goals_apart
-        check_choice("engine", engine, tuple(ENGINES))
-        self.control_dt = _number("control_dt", control_dt, SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT, "s")
-        self.rhythm = None if rhythm is None else _number("rhythm", rhythm, 0.0, 0.5 / self.control_dt, "Hz")
+        self.engine = choice("engine", engine, ENGINES)
+        self.energy_check, self.step_check = flag("energy_check", energy_check), flag("step_check", step_check)
+        self.control_dt = number("control_dt", control_dt, SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT, "s")
+        self.rhythm = optional(number, "rhythm", rhythm, 0.0, 0.5 / self.control_dt, "Hz", above=True)
         preset = named_fidelity(fidelity)
         self.design = preset.remesh(_design(design, self.task.design))
         self.lattice = build_lattice(self.design)
@@ -121,20 +121,17 @@ class Scene:
         first = self.make_task(1)
         if isinstance(design, LatticeDesign):
             warn_of_dropped_values(design, self.task)
-        preferred: Splitting = "pyelastica" if engine == "pyelastica" else preset.splitting
-        self.splitting: Splitting = preferred if splitting is None else splitting
-        self.engine, self.energy_check, self.step_check = engine, energy_check, step_check
-        self.n_substeps, self.dt = self._substeps(dt, allow_large_dt)
+        preferred: Splitting = "pyelastica" if self.engine == "pyelastica" else preset.splitting
+        self.splitting: Splitting = optional(choice, "splitting", splitting, get_args(Splitting)) or preferred
+        self.n_substeps, self.dt = self._substeps(dt, flag("allow_large_dt", allow_large_dt))
         self.start = settled(first, self.model)
 
     def make_task(self, n_worm: int) -> Task:
         """Task of so many worms; its `rest` is that of the model until it is given the state that episodes start in."""
         return self.task(self.lattice, self.control_dt, model=self.model, n_worm=n_worm, **self._asked)
 
-    def _substeps(self, dt: object, allow_large_dt: object) -> tuple[int, float]:
+    def _substeps(self, dt: object, allow_large_dt: bool) -> tuple[int, float]:
         """Physics steps in a control step, and their length [s]."""
-        if not isinstance(allow_large_dt, bool):
-            raise ValueError(f"allow_large_dt = {allow_large_dt!r}: must be True or False")
         control_dt, tension, bodies = self.control_dt, self.design.max_tension, [self.model]
         tension *= 1.0 if self.adaptation is None else self.adaptation.most
         if self.randomisation is not None:
@@ -143,43 +140,32 @@ class Scene:
         if dt is None:
             step = min(default_dt(body, control_dt, tension) for body in bodies)
         else:
-            step = _number("dt", dt, 0.0, control_dt, "s")
+            step = number("dt", dt, 0.0, control_dt, "s", above=True)
         ratio = control_dt / step
         if ratio > MAX_SUBSTEPS:
-            raise ValueError(
-                f"dt = {step:g}: {ratio:.3g} steps in control_dt = {control_dt:g} s, at most {MAX_SUBSTEPS}"
-            )
+            must = f"{ratio:.3g} steps in control_dt = {control_dt:g} s, at most {MAX_SUBSTEPS}"
+            raise refused("dt", step, must)
         n_substeps = round(ratio)
         if abs(n_substeps * step - control_dt) > DIVISION_TOLERANCE * control_dt:
             nearest = f"{control_dt / (int(ratio) + 1)!r} and {control_dt / int(ratio)!r}"
-            raise ValueError(
-                f"dt = {step!r}: must divide control_dt = {control_dt!r} s; the nearest that do: {nearest} s"
-            )
+            raise refused("dt", step, f"must divide control_dt = {control_dt!r} s; the nearest that do: {nearest} s")
         if dt is None or allow_large_dt:
             return n_substeps, step
         limit = min(stable_dt(body, tension, self.splitting) for body in bodies)
         if step > limit:
-            raise ValueError(f"dt = {step!r}: above the predicted stable {limit:.6g} s; allow_large_dt=True permits it")
+            raise refused("dt", step, f"above the predicted stable {limit:.6g} s; allow_large_dt=True permits it")
         return n_substeps, step
-
-
-def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
-    """Refuse what is none of some names, with a ValueError."""
-    if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{name} = {value!r}: must be one of {', '.join(choices)}")
 
 
 def resolve_world(world: object, own: Callable[[Lattice], World], lattice: Lattice) -> World:
     """World as given, or a task's own with what a dict changes of it; anything else is a ValueError."""
-    if isinstance(world, World):
-        return world
     if world is None or isinstance(world, Mapping):
         given, around = dict(world or {}), own(lattice)
         for name, part in vars(around).items():
-            if isinstance(part, Part) and isinstance(given.get(name), Mapping):
-                given[name] = {**asdict(part), **given[name]}
+            if isinstance(part, Parameters) and isinstance(given.get(name), Mapping):
+                given[name] = {**part.to_dict(), **given[name]}
         return World.from_dict({**vars(around), **given})
-    raise ValueError(f"world = {shown(world)}: must be a World, its dict form or None")
+    return instance("world", world, World, ", its dict form or None")
 
 
 def _task(task: str | type[Task] | None, goals_apart: bool) -> type[Task]:
@@ -189,20 +175,11 @@ def _task(task: str | type[Task] | None, goals_apart: bool) -> type[Task]:
     kind = resolve_task(task)
     if goals_apart and not issubclass(kind, GoalTask):
         having = ", ".join(name for name, known in TASKS.items() if issubclass(known, GoalTask))
-        raise ValueError(f"task = {shown(task)}: has no goals; those that do: {having}")
+        raise refused("task", task, f"has no goals; those that do: {having}")
     return kind
 
 
 def _design(design: object, own: Mapping[str, Any]) -> LatticeDesign:
-    if isinstance(design, LatticeDesign):
-        return design
     if design is None or isinstance(design, Mapping):
         return LatticeDesign.from_dict({**own, **(design or {})})
-    raise ValueError(f"design = {design!r}: must be a LatticeDesign, its dict form or None")
-
-
-def _number(name: str, value: object, low: float, high: float, unit: str) -> float:
-    """Positive number within bounds."""
-    if is_number(value) and value > 0.0 and low <= value <= high:
-        return float(value)
-    raise ValueError(f"{name} = {value!r}: must be a number from {low:g} to {high:g} [{unit}], and not 0")
+    return instance("design", design, LatticeDesign, ", its dict form or None")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, ClassVar, NoReturn, SupportsIndex
 
 import gymnasium
@@ -13,11 +14,11 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from lattice_gym.checks import FloatArray, IntArray, shown, whole_number
+from lattice_gym.checks import FloatArray, IntArray, choice, items, optional, refused, whole
 from lattice_gym.envs.core import OK, Mask, Worms
-from lattice_gym.envs.env import METADATA, checked_render_mode, clipped_command, seed_of
+from lattice_gym.envs.env import METADATA, clipped_command
 from lattice_gym.envs.observation import Observation
-from lattice_gym.envs.pictures import Pictures
+from lattice_gym.envs.pictures import RENDER_MODES, Pictures
 from lattice_gym.envs.registration import warn_of_time_limit
 from lattice_gym.envs.scene import Scene
 
@@ -72,14 +73,14 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
-        self.num_envs = _count("num_envs", num_envs)
-        self._limit = None if max_episode_steps is None else _count("max_episode_steps", max_episode_steps)
+        self.num_envs = whole("num_envs", num_envs, 1)
+        self._limit = optional(whole, "max_episode_steps", max_episode_steps, 1)
         try:
             self._mode = AutoresetMode(autoreset_mode)
         except ValueError:
             modes = ", ".join(repr(mode.value) for mode in AutoresetMode)
-            raise ValueError(f"autoreset_mode = {shown(autoreset_mode)}: must be one of {modes}") from None
-        self.render_mode = checked_render_mode(render_mode)
+            raise refused("autoreset_mode", autoreset_mode, f"must be one of {modes}") from None
+        self.render_mode = optional(choice, "render_mode", render_mode, RENDER_MODES)
         self.scene = Scene(goals_apart=self._goals_apart, **arguments)
         self.worms = Worms(self.scene, self.num_envs, num_threads=num_threads)
         self.metadata = {**METADATA, "render_fps": 1.0 / self.scene.control_dt, "autoreset_mode": self._mode}
@@ -215,12 +216,10 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
     def _seeds(self, seed: object) -> list[int | None]:
         """Seed of every worm."""
         if isinstance(seed, list | tuple) or (isinstance(seed, np.ndarray) and seed.ndim > 0):
-            if len(seed) != self.num_envs:
-                raise ValueError(f"seed: must be one number, or {self.num_envs}, one a worm, got {len(seed)}")
-            return [None if one is None else seed_of(one) for one in seed]
-        if seed is None:
-            return [None] * self.num_envs
-        return [seed_of(seed) + worm for worm in range(self.num_envs)]
+            one_each = partial(optional, partial(whole, low=0))
+            return list(items("seed", seed, one_each, self.num_envs, "seeds, one a worm"))
+        first = optional(whole, "seed", seed, 0)
+        return [None if first is None else first + worm for worm in range(self.num_envs)]
 
     def _options(self, options: dict[str, Any] | None) -> tuple[Mask, list[dict[str, Any] | None]]:
         """Worms to reset, and the options of every worm."""
@@ -232,10 +231,8 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
             mask = given.pop("reset_mask")
             fits = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)
             if not (fits and mask.any()):
-                raise ValueError(
-                    f"options['reset_mask'] = {shown(mask)}: must be an array of bool of shape ({self.num_envs},), "
-                    "with at least one worm in it"
-                )
+                must = f"must be an array of bool of shape ({self.num_envs},), with at least one worm in it"
+                raise refused("options['reset_mask']", mask, must)
         each = [name for name, value in given.items() if isinstance(value, np.ndarray) and value.ndim > 0]
         for name in each:
             if given[name].shape != (self.num_envs,):
@@ -245,13 +242,6 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
                 )
         own = {name: given[name].tolist() for name in each}
         return mask, [given | {name: own[name][worm] for name in each} for worm in range(self.num_envs)]
-
-
-def _count(name: str, value: object) -> int:
-    count = whole_number(value)
-    if count is None or count < 1:
-        raise ValueError(f"{name} = {shown(value)}: must be a whole number, at least 1")
-    return count
 
 
 def _worms(mask: Mask) -> list[int]:

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray, IntArray, shown, whole_number
+from lattice_gym.checks import REQUIRED, FloatArray, IntArray, Parameters, count, require
 from lattice_gym.physics.laws.ball import Ball, BallLaw
 from lattice_gym.physics.laws.base import Law, tuple_of
 from lattice_gym.physics.laws.contact import Contact, ContactLaw
@@ -26,19 +26,23 @@ from lattice_gym.physics.laws.lines import Line, LineLaw
 from lattice_gym.physics.laws.loads import LoadLaw, PointForce, PointTorque
 from lattice_gym.physics.laws.medium import MediumLaw
 from lattice_gym.physics.laws.muscles import MuscleLaw
-from lattice_gym.physics.rod import FRAME_TOLERANCE, Rod, node_radius, node_sums, require
+from lattice_gym.physics.rod import FRAME_TOLERANCE, Rod, node_radius, node_sums
 from lattice_gym.physics.state import RodState
 
 
 @dataclass(frozen=True)
-class Clamp:
+class Clamp(Parameters):
     """A node held at its rest position, an element held at its rest orientation, or both."""
 
-    rod: int
-    node: int | None = None
+    rod: int = count(REQUIRED)
+    node: int | None = count(None, none=True)
     """None: no node."""
-    element: int | None = None
+    element: int | None = count(None, none=True)
     """None: no element."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.node is not None or self.element is not None, "Clamp: needs a node or an element to hold")
 
 
 LAWS: tuple[type[Law], ...] = (
@@ -106,10 +110,8 @@ class RodModel:
                 object.__setattr__(self, name, take(name, getattr(self, name)))
         require(len(self.rods) > 0, "rods: at least one is needed")
         for k, clamp in enumerate(self.clamps):
-            held = clamp.node is not None or clamp.element is not None
-            require(held, f"clamps[{k}]: holds neither node nor element")
-            self.check_node(f"clamps[{k}]", clamp.rod, 0 if clamp.node is None else clamp.node)
-            self.check_element(f"clamps[{k}]", clamp.rod, 0 if clamp.element is None else clamp.element)
+            self.check_node(f"clamps[{k}]", clamp.rod, clamp.node or 0)
+            self.check_element(f"clamps[{k}]", clamp.rod, clamp.element or 0)
         with np.errstate(all="ignore"):
             for law in LAWS:
                 if law.present(self):
@@ -126,18 +128,16 @@ class RodModel:
 
     def check_node(self, name: str, rod: int, node: int) -> None:
         """Raise ValueError of a name unless a rod has a node."""
-        self._check_index(name, rod, node, "nodes", extra=1)
+        self._check_index(name, rod, node, "node", extra=1)
 
     def check_element(self, name: str, rod: int, element: int) -> None:
         """Raise ValueError of a name unless a rod has an element."""
-        self._check_index(name, rod, element, "elements", extra=0)
+        self._check_index(name, rod, element, "element", extra=0)
 
     def _check_index(self, name: str, rod: int, index: int, part: str, extra: int) -> None:
-        if whole_number(rod) is None or not 0 <= rod < len(self.rods):
-            raise ValueError(f"{name}: there is no rod {shown(rod)}")
-        count = self.rods[rod].n_elem + extra
-        if whole_number(index) is None or not 0 <= index < count:
-            raise ValueError(f"{name}: rod {rod} has {count} {part}, no number {shown(index)}")
+        require(rod < self.n_rod, f"{name}: there is no rod {rod}; there are {self.n_rod}, counted from 0")
+        n_part = self.rods[rod].n_elem + extra
+        require(index < n_part, f"{name}: rod {rod} has no {part} {index}; it has {n_part}, counted from 0")
 
     @property
     def n_rod(self) -> int:
@@ -169,7 +169,7 @@ class RodModel:
         """Volume that every node makes room for [m^3], shape (n_node,): its rod's share and that of lines."""
         return self._with_lines(
             [rod.mass / rod.density for rod in self.rods],
-            [float(line.mass) / float(line.density) for line in self.lines],
+            [line.mass / line.density for line in self.lines],
         )
 
     @cached_property
@@ -183,7 +183,7 @@ class RodModel:
         drag = self.medium_drag
         return self._with_lines(
             [rod.damping + drag * node_sums(0.5 * rod.rest_length) for rod in self.rods],
-            [float(line.damping) + drag * float(line.rest_length) for line in self.lines],
+            [line.damping + drag * line.rest_length for line in self.lines],
         )
 
     @cached_property
@@ -270,7 +270,7 @@ class RodModel:
     def muscle_rest_length(self) -> FloatArray:
         """Length of every muscle at rest [m], shape (n_muscle,)."""
         rods = [float(self.rods[rod].rest_length.sum()) for rod in self.muscles]
-        return np.array(rods + [float(line.rest_length) for line in self.lines])
+        return np.array(rods + [line.rest_length for line in self.lines])
 
     @cached_property
     def held_nodes(self) -> tuple[IntArray, FloatArray, FloatArray]:

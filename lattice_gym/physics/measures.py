@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
-from lattice_gym.checks import FloatArray, IntArray, finite_number, real_array, shown, wrap_angle
+from lattice_gym.checks import FloatArray, IntArray, array, number, require, wrap_angle
 from lattice_gym.physics.assembly import RodModel
 
 LEAST_BEND = 1e-9
@@ -312,8 +312,11 @@ def travelling_wave(radii: FloatArray, dt: float, level_height: FloatArray) -> T
         Rest heights of the levels [m], rising, shape (n_level,).
 
     """
-    radii, level_height = real_array("radii", radii), real_array("level_height", level_height)
-    _check_recording(radii, dt, level_height)
+    radii, dt = array("radii", radii, ("n_time", "n_level"), unit="m"), number("dt", dt, 0.0, unit="s", above=True)
+    enough = radii.shape[0] >= 4 and radii.shape[1] >= 1
+    require(enough, f"radii has shape {radii.shape}: must have at least 4 times and one level")
+    level_height = array("level_height", level_height, radii.shape[1:], unit="m")
+    require(bool((np.diff(level_height) > 0.0).all()), f"level_height = {level_height.tolist()}: must rise")
     motion = radii - radii.mean(axis=0)
     size = np.sqrt(np.mean(motion**2, axis=0))
     moving = size > LEAST_SHARE * float(size.max())
@@ -335,22 +338,6 @@ def travelling_wave(radii: FloatArray, dt: float, level_height: FloatArray) -> T
         return TravellingWave(index, 0, 0.0, amplitude)
     velocity = frequency / wavenumber
     return TravellingWave(index, 1 if velocity > 0.0 else -1, abs(velocity), amplitude)
-
-
-def _check_recording(radii: FloatArray, dt: float, level_height: FloatArray) -> None:
-    if radii.ndim != 2 or radii.shape[0] < 4 or radii.shape[1] < 1 or not np.isfinite(radii).all():
-        raise ValueError(f"radii: must be finite, of shape (n_time >= 4, n_level), got shape {radii.shape}")
-    if (step := finite_number(dt)) is None or step <= 0.0:
-        raise ValueError(f"dt: must be a positive time [s], got {shown(dt)}")
-    if (
-        level_height.shape != radii.shape[1:]
-        or not np.isfinite(level_height).all()
-        or (np.diff(level_height) <= 0).any()
-    ):
-        raise ValueError(
-            f"level_height: must be {radii.shape[1]} finite, rising heights [m], one a column of radii, "
-            f"got {level_height.tolist()}"
-        )
 
 
 def _analytic(signal: FloatArray) -> npt.NDArray[np.complex128]:

@@ -8,48 +8,21 @@ from __future__ import annotations
 import math
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.body.design import MAX_ELEMENTS
-from lattice_gym.checks import FloatArray, finite_number, real_array, shown, whole_number
+from lattice_gym.checks import REQUIRED, FloatArray, Parameters, array, checked, optional, real, require, whole
 
 SHEAR_CORRECTION = 27.0 / 28.0
 """Kaneko 1975 for a circular section and Poisson's ratio 0.5, as PyElastica has it."""
 FRAME_TOLERANCE = 1e-9
 
 
-def array_of_shape(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    """Read-only float array of the given shape, or a ValueError that names it."""
-    given = real_array(name, value)
-    try:
-        array = np.array(np.broadcast_to(given, shape))
-    except ValueError:
-        raise ValueError(f"{name}: must be real numbers of shape {shape}, got {shown(value)}") from None
-    array.setflags(write=False)
-    return array
-
-
-def checked_size(name: str, value: object, *, above: bool) -> float:
-    """Finite number that is positive, or not negative; else a ValueError that names it."""
-    number = finite_number(value)
-    if number is None or number < 0.0 or (above and number == 0.0):
-        raise ValueError(
-            f"{name} = {shown(value)}: must be {'positive and finite' if above else 'finite and not negative'}"
-        )
-    return number
-
-
-def require(condition: bool, message: str) -> None:
-    """Raise ValueError with a message unless the condition holds."""
-    if not condition:
-        raise ValueError(message)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Rod:
+class Rod(Parameters):
     """One Cosserat rod of circular section, free of stress as given here unless `natural_curvature` says else.
 
     Raises
@@ -59,21 +32,21 @@ class Rod:
         or a property out of bounds.
     """
 
-    position: FloatArray
+    position: FloatArray = checked(REQUIRED, array, shape=("n_elem + 1", 3), unit="m", read_only=True)
     """Rest node positions [m], shape (n_elem + 1, 3)."""
     directors: FloatArray
     """Rest directors, shape (n_elem, 3, 3): rows d1, d2, d3, with d3 along the element."""
     radius: FloatArray
     """Radius of each element at rest [m], shape (n_elem,); a single number is spread."""
-    density: float
+    density: float = real(REQUIRED, 0.0, math.inf, "kg/m^3", above=True)
     """[kg/m^3]"""
-    youngs_modulus: float
+    youngs_modulus: float = real(REQUIRED, 0.0, math.inf, "Pa", above=True)
     """[Pa]"""
-    shear_modulus: float
+    shear_modulus: float = real(REQUIRED, 0.0, math.inf, "Pa", above=True)
     """[Pa]"""
-    damping: float = 0.0
+    damping: float = real(0.0, 0.0, math.inf, "N s/m per node")
     """Translational damping [N s/m per node]."""
-    rotational_damping: float = 0.0
+    rotational_damping: float = real(0.0, 0.0, math.inf, "N m s")
     """[N m s per element]"""
     natural_curvature: FloatArray | None = None
     """Curvature and twist free of stress, in the material frame [1/m], shape (n_elem - 1, 3); None: those of the shape.
@@ -82,26 +55,19 @@ class Rod:
     """
 
     def __post_init__(self) -> None:
-        position = real_array("Rod.position", self.position)
-        require(
-            position.ndim == 2 and position.shape[1] == 3 and len(position) >= 3,
-            f"Rod.position: shape must be (n_elem + 1, 3) with n_elem >= 2, got {position.shape}",
-        )
-        n_elem = len(position) - 1
-        for name, shape in (("position", (n_elem + 1, 3)), ("directors", (n_elem, 3, 3)), ("radius", (n_elem,))):
-            object.__setattr__(self, name, array_of_shape(f"Rod.{name}", getattr(self, name), shape))
-        if self.natural_curvature is not None:
-            curvature = array_of_shape("Rod.natural_curvature", self.natural_curvature, (n_elem - 1, 3))
-            object.__setattr__(self, "natural_curvature", curvature)
+        super().__post_init__()
+        n_elem = self.n_elem
+        require(n_elem >= 2, f"Rod.position has {n_elem + 1} nodes: must have at least 3")
+        fixed = partial(array, spread=True, read_only=True)
+        directors = fixed("Rod.directors", self.directors, (n_elem, 3, 3))
+        radius = fixed("Rod.radius", self.radius, (n_elem,), 0.0, unit="m", above=True)
+        curvature = optional(fixed, "Rod.natural_curvature", self.natural_curvature, (n_elem - 1, 3), unit="1/m")
+        for name, values in (("directors", directors), ("radius", radius), ("natural_curvature", curvature)):
+            object.__setattr__(self, name, values)
         with np.errstate(all="ignore"):
             size = self.rest_length
         require(bool(np.isfinite(size).all()), "Rod.position: nodes lie too far apart")
         require(bool((size > 0.0).all()), "Rod.position: two neighbouring nodes coincide")
-        for name in ("density", "youngs_modulus", "shear_modulus"):
-            object.__setattr__(self, name, checked_size(f"Rod.{name}", getattr(self, name), above=True))
-        for name in ("damping", "rotational_damping"):
-            object.__setattr__(self, name, checked_size(f"Rod.{name}", getattr(self, name), above=False))
-        require(bool((self.radius > 0.0).all()), "Rod.radius: must be positive")
         q = self.directors
         tangent = np.diff(self.position, axis=0) / self.rest_length[:, None]
         orthonormal = np.abs(q @ q.transpose(0, 2, 1) - np.eye(3)).max() < FRAME_TOLERANCE
@@ -228,7 +194,7 @@ def straight_frames(position: FloatArray, normal: npt.ArrayLike) -> FloatArray:
     """Directors along the elements of a rod, shape (n_elem, 3, 3), with d1 as near to `normal` as can be."""
     tangent = np.diff(position, axis=0)
     tangent = tangent / np.linalg.norm(tangent, axis=1)[:, None]
-    d1 = array_of_shape("normal", normal, tangent.shape)
+    d1 = array("normal", normal, tangent.shape, spread=True)
     if np.abs(d1).max() > 0.0:
         d1 = d1 / np.abs(d1).max()
     d1 = d1 - np.sum(d1 * tangent, axis=1)[:, None] * tangent
@@ -252,10 +218,8 @@ def straight_rod(
     rotational_damping: float = 0.0,
 ) -> Rod:
     """Straight rod of `n_elem` equal elements from `start` to `end` [m]; d1 lies towards `normal` (default: any)."""
-    a, b = array_of_shape("start", start, (3,)), array_of_shape("end", end, (3,))
-    count = whole_number(n_elem)
-    if count is None or not 2 <= count <= MAX_ELEMENTS:
-        raise ValueError(f"n_elem = {shown(n_elem)}: must be a whole number, at least 2, at most {MAX_ELEMENTS}")
+    a, b = array("start", start, (3,), unit="m"), array("end", end, (3,), unit="m")
+    count = whole("n_elem", n_elem, 2, MAX_ELEMENTS)
     require(bool((a != b).any()), "end: must differ from start")
     with np.errstate(all="ignore"):
         chord = b - a
@@ -268,7 +232,7 @@ def straight_rod(
     return Rod(
         position=position,
         directors=straight_frames(position, normal),
-        radius=array_of_shape("Rod.radius", radius, (count,)),
+        radius=array("Rod.radius", radius, (count,), unit="m", spread=True),
         density=density,
         youngs_modulus=youngs_modulus,
         shear_modulus=shear_modulus,

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray
+from lattice_gym.checks import FloatArray, number
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.base import Generalised, Operator
 from lattice_gym.physics.laws.damping import Splitting, coefficients, damping_shares
@@ -65,9 +65,7 @@ def stable_dt(model: RodModel, max_tension: float = 0.0, splitting: Splitting = 
     ValueError
         A tension that is negative or not finite.
     """
-    if not (math.isfinite(max_tension) and max_tension >= 0.0):
-        raise ValueError(f"max_tension = {max_tension!r}: must be finite and not negative [N]")
-    return SAFETY * _Linear(model, max_tension).largest_dt(splitting)
+    return SAFETY * _Linear(model, number("max_tension", max_tension, 0.0, unit="N")).largest_dt(splitting)
 
 
 def default_dt(model: RodModel, control_dt: float, max_tension: float = 0.0) -> float:

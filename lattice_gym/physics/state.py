@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.checks import FloatArray, IntArray, finite_number, real_array, shown
-from lattice_gym.physics.rod import FRAME_TOLERANCE, require
+from lattice_gym.checks import FloatArray, IntArray, array, number, require
+from lattice_gym.physics.rod import FRAME_TOLERANCE
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import Clamp, RodModel
@@ -66,12 +66,8 @@ class RodState:
             "bolus_omega": (model.n_bolus, 3),
         }
         for name, shape in shapes.items():
-            array = real_array(f"RodState.{name}", getattr(self, name))
-            require(array.shape == shape, f"RodState.{name}: shape must be {shape}, got {array.shape}")
-            require(bool(np.isfinite(array).all()), f"RodState.{name}: must be finite")
-        require(
-            finite_number(self.time) is not None, f"RodState.time = {shown(self.time)}: must be a finite number [s]"
-        )
+            array(f"RodState.{name}", getattr(self, name), shape)
+        number("RodState.time", self.time, unit="s")
         d1, d2, d3 = (self.directors[:, row] for row in range(3))
         skew = np.abs(self.directors @ self.directors.transpose(0, 2, 1) - np.eye(3)).max()
         require(bool(skew < _DRIFT_TOLERANCE), "RodState.directors: must be orthonormal")

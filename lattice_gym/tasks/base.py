@@ -12,6 +12,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from numbers import Real
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout
-from lattice_gym.checks import FloatArray, IntArray, finite_number, is_number, shown
+from lattice_gym.checks import FloatArray, IntArray, items, names, number, refused, require
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.elasticity import MAX_DILATATION
 from lattice_gym.physics.measures import base_frame
@@ -63,12 +64,13 @@ class Command(NamedTuple):
     among: tuple[float, ...] = ()
     """Where there are any, only these may be drawn or given."""
 
-    def allows(self, value: float) -> bool:
-        """Tell whether a number may be given."""
+    def check(self, name: str, value: object) -> float:
+        """Take a number that may be given; anything else is a ValueError of that name."""
+        if self.among and not (isinstance(value, Real) and value in self.among):
+            raise refused(name, value, f"must be {' or '.join(f'{few:g}' for few in self.among)}")
         slack = BOUND_SLACK
-        if self.among:
-            return value in self.among
-        return self.least - slack * abs(self.least) <= value <= self.most + slack * abs(self.most)
+        least, most = self.least - slack * abs(self.least), self.most + slack * abs(self.most)
+        return number(name, value, least, most, self.unit)
 
 
 class RewardTerm(NamedTuple):
@@ -207,8 +209,8 @@ class Task(ABC):
     def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None, worm: int = 0) -> None:
         """Start an episode of a worm: draw its command, with what constructor or options give (the latter win)."""
         command = self._drawn(rng, options)
-        for name, number in command.items():
-            self.commanded[name][worm] = number
+        for name, drawn in command.items():
+            self.commanded[name][worm] = drawn
         for name, value in self.blank_memory().items():
             self.memory[name][worm] = value
 
@@ -330,16 +332,8 @@ class Task(ABC):
         weights = {name: float(term.weight) for name, term in self._all_rewards.items()}
         if given is None:
             return weights
-        if not isinstance(given, Mapping):
-            raise ValueError(f"reward_weights = {shown(given)}: must be a mapping of names to numbers")
-        for name, value in given.items():
-            if name not in weights:
-                raise ValueError(f"reward_weights: {self.name} has no {name!r}; its terms are {', '.join(weights)}")
-            number = finite_number(value)
-            if number is None or abs(number) > HEAVIEST:
-                label = f"reward_weights[{name!r}] = {shown(value)}"
-                raise ValueError(f"{label}: must be a number from {-HEAVIEST:g} to {HEAVIEST:g}")
-            weights[name] = number
+        for name, value in names("reward_weights", given, weights, "numbers").items():
+            weights[name] = number(f"reward_weights[{name!r}]", value, -HEAVIEST, HEAVIEST)
         return weights
 
     def _warn_of_ranges(self) -> None:
@@ -365,20 +359,13 @@ class Task(ABC):
 
     def _checked(self, argument: str, values: Mapping[str, object] | None) -> dict[str, tuple[float, ...]]:
         """Numbers to draw from by name; a number alone is held."""
-        if values is not None and not isinstance(values, Mapping):
-            raise ValueError(f"{argument} = {shown(values)}: must be a mapping of names to numbers")
         checked: dict[str, tuple[float, ...]] = {}
-        for name, value in (values or {}).items():
-            if name not in self.commands:
-                known = ", ".join(self.commands) or "nothing"
-                raise ValueError(f"{argument}: {self.name} commands no {name!r}; it commands {known}")
-            bounds = self.commands[name]
-            numbers = tuple(value) if isinstance(value, list | tuple) else (value,)
-            if not numbers or not all(is_number(number) and bounds.allows(number) for number in numbers):
-                span = f"a number from {bounds.least:g} to {bounds.most:g} [{bounds.unit}]"
-                kind = " or ".join(f"{number:g}" for number in bounds.among) or span
-                raise ValueError(f"{argument}[{name!r}] = {shown(value)}: must be {kind}, or a list of them")
-            checked[name] = tuple(float(number) for number in numbers)
+        given = {} if values is None else names(argument, values, self.commands, "numbers, or lists of them")
+        for name, value in given.items():
+            label, bounds = f"{argument}[{name!r}]", self.commands[name]
+            several = isinstance(value, list | tuple)
+            checked[name] = items(label, value, bounds.check) if several else (bounds.check(label, value),)
+            require(len(checked[name]) > 0, f"{label}: needs at least one number to draw from")
         drawn = {name: (bounds.low, bounds.high) for name, bounds in self.commands.items()}
         self.check_command(argument, drawn | self.among | checked)
         return checked

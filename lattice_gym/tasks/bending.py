@@ -9,11 +9,11 @@ import numpy as np
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import TURN, FloatArray, IntArray
+from lattice_gym.checks import TURN, FloatArray, IntArray, number
 from lattice_gym.physics.measures import azimuth_of, bend_vector, top_sites
 from lattice_gym.physics.state import Motion
 from lattice_gym.tasks.base import Command, RewardTerm, Task, check_base
-from lattice_gym.tasks.gait import MOST, Gait, check_numbers, hold, longitudinal, muscle_middles, needed
+from lattice_gym.tasks.gait import MOST, Gait, hold, longitudinal, muscle_middles, needed
 
 LEAST_LEAN = 0.05
 """A worm that is bent by less leans no way [deg]."""
@@ -93,8 +93,8 @@ def bending_gait(lattice: Lattice, layout: MuscleLayout, azimuth: float, sharpne
 
     Activation follows the cosine of the angle from the azimuth (rings: from its opposite) times the sharpness, up to 1.
     """
-    check_numbers(-MOST, azimuth=azimuth)
-    check_numbers(0.0, sharpness=sharpness)
+    azimuth = number("azimuth", azimuth, -MOST, MOST, "rad")
+    sharpness = number("sharpness", sharpness, 0.0, MOST, "1")
     middle = muscle_middles(lattice, layout)
     facing = np.cos(np.arctan2(middle[:, 1], middle[:, 0]) - azimuth)
     return hold(sharpness * np.where(longitudinal(lattice, layout), facing, -facing))

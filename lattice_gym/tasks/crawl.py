@@ -9,14 +9,14 @@ import numpy as np
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import TURN, FloatArray, IntArray
+from lattice_gym.checks import TURN, FloatArray, IntArray, number, refused
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.measures import mass_centre, muscle_lengths
 from lattice_gym.physics.state import Motion
 from lattice_gym.physics.world import World
 from lattice_gym.tasks.base import COMMAND_BOUND, WAY_WEIGHT, Command, RewardTerm, Task, quotient
-from lattice_gym.tasks.gait import LEAST, MOST, Gait, check_numbers, longitudinal, muscle_middles, needed
+from lattice_gym.tasks.gait import LEAST, MOST, Gait, longitudinal, muscle_middles, needed
 
 CRAWL_FREQUENCY, CRAWL_WAVELENGTH = 1.0, 1.0
 """Of the crawling wave [Hz], [heights]: the best of wavelengths from 0.6 to 2; at 2 Hz it is a quarter faster."""
@@ -150,11 +150,12 @@ def crawling_gait(
     earthworm. The direction is +1 towards the top end, -1 towards the base; the frequency in Hz, the wavelength in
     heights.
     """
-    check_numbers(-MOST, direction=direction)
-    check_numbers(LEAST, frequency=frequency, wavelength=wavelength)
-    check_numbers(0.0, ring_share=ring_share)
+    direction = number("direction", direction, -MOST, MOST, "1")
+    frequency = number("frequency", frequency, LEAST, MOST, "Hz")
+    wavelength = number("wavelength", wavelength, LEAST, MOST, "heights")
+    ring_share = number("ring_share", ring_share, 0.0, MOST, "1")
     if direction == 0.0:
-        raise ValueError(f"direction = {direction!r}: must not be 0")
+        raise refused("direction", direction, "must not be 0")
     along, height = longitudinal(lattice, layout), muscle_middles(lattice, layout)[:, 2]
     drive = 0.5 * np.where(along, 1.0, ring_share)
     return Gait(

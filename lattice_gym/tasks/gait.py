@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import TURN, FloatArray, IntArray, is_number, shown
+from lattice_gym.checks import REQUIRED, TURN, FloatArray, IntArray, Parameters, array, checked, number, real, refused
 
 LEAD = 0.07
 """How far a wave runs ahead of what it follows [s]: a command is held for a control step, and muscles lag behind it."""
@@ -23,33 +23,26 @@ LEAST, MOST = 1e-9, 1e9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Gait:
+class Gait(Parameters):
     """A wave of muscle commands: ``offset + swing cos(2 pi frequency (t + lead) - phase)``, clipped to [0, 1].
 
     Called with a time [s] it returns the command of every active muscle, shape (n_muscle,).
     """
 
-    offset: FloatArray
+    offset: FloatArray = checked(REQUIRED, array, shape=("n_muscle",))
     """Mean command of each muscle, shape (n_muscle,)."""
-    swing: FloatArray
+    swing: FloatArray = checked(REQUIRED, array, shape=("n_muscle",))
     """Amplitude of each muscle's command, shape (n_muscle,)."""
-    phase: FloatArray
+    phase: FloatArray = checked(REQUIRED, array, shape=("n_muscle",), unit="rad")
     """Lag of each muscle [rad], shape (n_muscle,)."""
-    frequency: float = 0.0
+    frequency: float = real(0.0, -MOST, MOST, "Hz")
     """Cycles a second [Hz]; negative runs the wave backwards."""
-    lead: float = LEAD
+    lead: float = real(LEAD, -MOST, MOST, "s")
     """Time by which the commands run ahead [s]."""
-
-    def __post_init__(self) -> None:
-        for name in ("offset", "swing", "phase"):
-            if not np.isfinite(getattr(self, name)).all():
-                raise ValueError(f"{name} = {getattr(self, name)}: must be finite")
-        check_numbers(-MOST, frequency=self.frequency, lead=self.lead)
 
     def __call__(self, time: float) -> FloatArray:
         """Commands at a time [s], shape (n_muscle,), in [0, 1]."""
-        check_numbers(-MOST, time=time)
-        angle = TURN * self.frequency * (time + self.lead)
+        angle = TURN * self.frequency * (number("time", time, -MOST, MOST, "s") + self.lead)
         command: FloatArray = np.clip(self.offset + self.swing * np.cos(angle - self.phase), 0.0, 1.0)
         return command
 
@@ -63,13 +56,6 @@ def grouped(command: FloatArray, groups: IntArray) -> FloatArray:
         raise ValueError(f"command has shape {np.shape(command)}: must be one a muscle, {np.shape(groups)}")
     mean: FloatArray = np.bincount(groups, command) / np.bincount(groups)
     return mean
-
-
-def check_numbers(least: float, **values: object) -> None:
-    """Refuse what is no number from `least` to MOST, by its name."""
-    for name, value in values.items():
-        if not is_number(value) or not least <= value <= MOST:
-            raise ValueError(f"{name} = {shown(value)}: must be a number from {least:g} to {MOST:g}")
 
 
 def hold(offset: FloatArray) -> Gait:
@@ -99,7 +85,7 @@ def longitudinal(lattice: Lattice, layout: MuscleLayout) -> npt.NDArray[np.bool_
 def needed(task: str, command: Mapping[str, float], *names: str) -> dict[str, float]:
     """Return those commanded numbers that a gait needs; a ValueError names what is missing."""
     if not isinstance(command, Mapping):
-        raise ValueError(f"command = {shown(command)}: must be a mapping of names to numbers")
+        raise refused("command", command, "must be a mapping of names to numbers")
     missing = [name for name in names if name not in command]
     if missing:
         raise ValueError(f"command: {task} needs {', '.join(names)}; missing {', '.join(missing)}")

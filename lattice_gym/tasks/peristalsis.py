@@ -10,11 +10,11 @@ import numpy as np
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import TURN, FloatArray, IntArray
+from lattice_gym.checks import TURN, FloatArray, IntArray, number, refused
 from lattice_gym.physics.measures import ring_radii, travelling_wave
 from lattice_gym.physics.state import Motion
 from lattice_gym.tasks.base import BOUND_SLACK, COMMAND_BOUND, Command, RewardTerm, Task
-from lattice_gym.tasks.gait import LEAD, LEAST, MOST, Gait, check_numbers, longitudinal, muscle_middles, needed
+from lattice_gym.tasks.gait import LEAD, LEAST, MOST, Gait, longitudinal, muscle_middles, needed
 
 RING_SHARE = 0.7
 """Drive of ring muscles over that of vertical ones: held back this much, a wave leaves the mean radius where it was."""
@@ -238,11 +238,14 @@ def peristalsis_gait(
         Time by which commands run ahead of the wave [s].
 
     """
-    check_numbers(-MOST, speed=speed, phase=phase, lead=lead)
-    check_numbers(LEAST, wavelength=wavelength, amplitude=amplitude)
-    check_numbers(0.0, ring_share=ring_share, top_share=top_share)
+    speed = number("speed", speed, -MOST, MOST, "m/s")
+    wavelength = number("wavelength", wavelength, LEAST, MOST, "m")
+    amplitude = number("amplitude", amplitude, LEAST, MOST, "1")
+    phase = number("phase", phase, -MOST, MOST, "rad")
+    ring_share = number("ring_share", ring_share, 0.0, MOST, "1")
+    top_share = number("top_share", top_share, 0.0, MOST, "1")
     if speed == 0.0:
-        raise ValueError(f"speed = {speed!r}: must not be 0, a wave that stands")
+        raise refused("speed", speed, "must not be 0, a wave that stands")
     along, height = longitudinal(lattice, layout), muscle_middles(lattice, layout)[:, 2]
     at_top = ~along & (height > lattice.design.height * (1.0 - 1e-9))
     share = np.where(along, 1.0, ring_share) * np.where(at_top, top_share, 1.0)

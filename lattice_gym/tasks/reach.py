@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import TURN, FloatArray, IntArray
+from lattice_gym.checks import TURN, FloatArray, IntArray, number
 from lattice_gym.physics.measures import base_frame, top_centre
 from lattice_gym.physics.state import Motion
 from lattice_gym.tasks.base import COMMAND_BOUND, GOAL_SCALE, LONGEST_STRAIN, Command, Given, GoalTask, RewardTerm
-from lattice_gym.tasks.gait import MOST, Gait, check_numbers, hold, longitudinal, muscle_middles, needed
+from lattice_gym.tasks.gait import MOST, Gait, hold, longitudinal, muscle_middles, needed
 
 REACH_SHARPNESS = (3.8, 44.0)
 REACH_LENGTHENING = (6.7, 5.5)
@@ -145,8 +145,9 @@ def reaching_gait(lattice: Lattice, layout: MuscleLayout, azimuth: float, radius
     and lengthening b = u rise + v radius^2; radius and rise in heights. Verticals take s cos + max(-b, 0), rings
     -s cos + max(b, 0), with the cosine of the angle from the azimuth.
     """
-    check_numbers(-MOST, azimuth=azimuth, rise=rise)
-    check_numbers(0.0, radius=radius)
+    azimuth = number("azimuth", azimuth, -MOST, MOST, "rad")
+    radius = number("radius", radius, 0.0, MOST, "heights")
+    rise = number("rise", rise, -MOST, MOST, "heights")
     sharpness = REACH_SHARPNESS[0] * radius + REACH_SHARPNESS[1] * radius**3
     lengthening = REACH_LENGTHENING[0] * rise + REACH_LENGTHENING[1] * radius**2
     middle = muscle_middles(lattice, layout)

@@ -11,7 +11,7 @@ from typing import Any
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import shown
+from lattice_gym.checks import refused, subclass
 from lattice_gym.tasks.base import Task
 from lattice_gym.tasks.bending import Bending
 from lattice_gym.tasks.compression import Compression
@@ -38,18 +38,10 @@ def resolve_task(task: object) -> type[Task]:
     ValueError
         Something else, a module that cannot be imported, or a class that lacks what a task must have.
     """
-    kind = TASKS.get(task, task) if isinstance(task, str) else task
-    if isinstance(kind, str) and ":" in kind:
-        try:
-            kind = pkgutil.resolve_name(kind)
-        except Exception as error:  # whatever the module raises
-            raise ValueError(f"task = {task!r}: cannot be imported: {type(error).__name__}: {error}") from error
-    if not (isinstance(kind, type) and issubclass(kind, Task)):
-        names = ", ".join(TASKS)
-        raise ValueError(f'task = {shown(task)}: must be one of {names}, a Task subclass or "module:Class" of one')
+    kind = subclass("task", task, Task, TASKS)  # type: ignore[type-abstract]
     missing = [name for name in NEEDED if not hasattr(kind, name)] + sorted(kind.__abstractmethods__)
     if missing:
-        raise ValueError(f"task = {shown(task)}: lacks {', '.join(missing)}")
+        raise refused("task", task, f"lacks {', '.join(missing)}")
     return kind
 
 
@@ -63,7 +55,7 @@ def task_label(task: type[Task]) -> str:
     except (ImportError, AttributeError, ValueError):
         found = None
     if found is not task:
-        raise ValueError(f"task = {task!r}: cannot be imported as {label!r}; define it at the top of a module")
+        raise refused("task", task, f"cannot be imported as {label!r}; define it at the top of a module")
     return label
 
 
@@ -108,5 +100,5 @@ def gait(task: str | type[Task], lattice: Lattice, layout: MuscleLayout, command
     kind = resolve_task(task)
     found = kind.gait(lattice, layout, command)
     if found is None:
-        raise ValueError(f"task = {shown(task)}: {kind.name} has no gait")
+        raise refused("task", task, f"{kind.name} has no gait")
     return found

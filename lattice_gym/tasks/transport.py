@@ -10,14 +10,14 @@ import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import TURN, FloatArray, IntArray
+from lattice_gym.checks import TURN, FloatArray, IntArray, number, refused
 from lattice_gym.physics.laws.ball import Bolus
 from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.measures import Lodging, lodging, ring_radii
 from lattice_gym.physics.state import Motion
 from lattice_gym.physics.world import World
 from lattice_gym.tasks.base import COMMAND_BOUND, GOAL_SCALE, WAY_WEIGHT, Command, RewardTerm, Task, quotient
-from lattice_gym.tasks.gait import LEAST, MOST, Gait, check_numbers, longitudinal, muscle_middles, needed
+from lattice_gym.tasks.gait import LEAST, MOST, Gait, longitudinal, muscle_middles, needed
 
 CARRY_FREQUENCY, CARRY_WAVELENGTH, CARRY_VERTICAL_SHARE = 0.2, 0.5, 0.5
 """Of the carrying wave [Hz], [heights]: what it holds rides it, at a tenth of a height a second."""
@@ -147,11 +147,13 @@ def carrying_gait(
     Verticals contract in antiphase, where rings let go. The direction is +1 towards the top end, -1 towards the base;
     frequency in Hz, wavelength in heights; at time 0 a trough is at the height `start` [heights].
     """
-    check_numbers(-MOST, direction=direction, start=start)
-    check_numbers(LEAST, frequency=frequency, wavelength=wavelength)
-    check_numbers(0.0, vertical_share=vertical_share)
+    direction = number("direction", direction, -MOST, MOST, "1")
+    frequency = number("frequency", frequency, LEAST, MOST, "Hz")
+    wavelength = number("wavelength", wavelength, LEAST, MOST, "heights")
+    vertical_share = number("vertical_share", vertical_share, 0.0, MOST, "1")
+    start = number("start", start, -MOST, MOST, "heights")
     if direction == 0.0:
-        raise ValueError(f"direction = {direction!r}: must not be 0")
+        raise refused("direction", direction, "must not be 0")
     along = longitudinal(lattice, layout)
     above = muscle_middles(lattice, layout)[:, 2] / lattice.design.height - start
     drive = 0.5 * np.where(along, vertical_share, 1.0)

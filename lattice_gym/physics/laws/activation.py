@@ -8,7 +8,6 @@ control step changes nothing. A law from outside is a subclass of `Activation`, 
 from __future__ import annotations
 
 import math
-import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -17,20 +16,18 @@ from typing import ClassVar
 import numpy as np
 
 from lattice_gym.body.design import LatticeDesign
-from lattice_gym.checks import Bounds, FloatArray, Part, finite_number, real_array, shown
+from lattice_gym.checks import FloatArray, Parameters, array, number, real, refused, subclass
 
-_TIME = (1e-6, 1e6, "s")
 _NEWTON = 30
 """Newton's steps at most; from the start that is taken the last bit is reached in under ten."""
 
 
-class Activation(Part, ABC):
-    """How activations follow commands; its parameters are fields within `bounds`, as of any `Part`.
+class Activation(Parameters, ABC):
+    """How activations follow commands; its parameters are fields as of any `Parameters`.
 
     A state has the shape (n_state, ...), where the activations are state[0] and have the shape of the commands.
     """
 
-    bounds: ClassVar[Bounds] = {}
     n_state: ClassVar[int] = 1
     """Numbers that are the state of one muscle."""
 
@@ -60,11 +57,9 @@ class FirstOrder(Activation):
     da/dt = (u - a) / tau, where tau is the rise time while u > a, and else the decay time.
     """
 
-    bounds: ClassVar[Bounds] = {"rise_time": _TIME, "decay_time": _TIME}
-
-    rise_time: float = 0.015
+    rise_time: float = real(0.015, 1e-6, 1e6, "s")
     """[s]"""
-    decay_time: float = 0.05
+    decay_time: float = real(0.05, 1e-6, 1e6, "s")
     """[s]"""
 
     def advance(self, state: FloatArray, command: FloatArray, duration: float) -> FloatArray:
@@ -85,11 +80,9 @@ class Thelen(Activation):
     while it rises; while it falls, p = q / (1 + (q / p0 - 1) exp(-q t)).
     """
 
-    bounds: ClassVar[Bounds] = {"rise_time": _TIME, "decay_time": _TIME}
-
-    rise_time: float = 0.015
+    rise_time: float = real(0.015, 1e-6, 1e6, "s")
     """Where the activation is 1/3 [s]."""
-    decay_time: float = 0.05
+    decay_time: float = real(0.05, 1e-6, 1e6, "s")
     """Where the activation is 1/3 [s]."""
 
     def advance(self, state: FloatArray, command: FloatArray, duration: float) -> FloatArray:
@@ -114,10 +107,9 @@ class Twitch(Activation):
     the activation and its rate [1/s].
     """
 
-    bounds: ClassVar[Bounds] = {"contraction_time": _TIME}
     n_state = 2
 
-    contraction_time: float = 0.05
+    contraction_time: float = real(0.05, 1e-6, 1e6, "s")
     """From an impulse to the peak of the twitch [s]."""
 
     def advance(self, state: FloatArray, command: FloatArray, duration: float) -> FloatArray:
@@ -155,25 +147,12 @@ def resolve_activation(given: object, design: LatticeDesign) -> Activation:
     values = {"law": "first_order"} if given is None else {"law": given} if isinstance(given, str) else given
     if not isinstance(values, Mapping) or not isinstance(law := values.get("law"), str):
         choices = ", ".join(map(repr, ACTIVATIONS))
-        raise ValueError(
-            f"activation = {shown(given)}: must be one of {choices}, 'module:Class', an Activation, None or a dict "
-            "whose 'law' is such a string"
-        )
-    kind = ACTIVATIONS.get(law) or _from_outside(law)
+        must = f"must be one of {choices}, 'module:Class', an Activation, None or a dict whose 'law' is such a string"
+        raise refused("activation", given, must)
+    kind = subclass("activation law", law, Activation, ACTIVATIONS)  # type: ignore[type-abstract]
     own = {field.name for field in fields(kind)}
     times = {name: getattr(design, name) for name in ("rise_time", "decay_time") if name in own}
     return kind.from_dict(times | {name: value for name, value in values.items() if name != "law"})
-
-
-def _from_outside(law: str) -> type[Activation]:
-    try:
-        kind = pkgutil.resolve_name(law) if ":" in law else None
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"activation law = {law!r}: cannot be imported: {error}") from error
-    if not (isinstance(kind, type) and issubclass(kind, Activation)):
-        choices = ", ".join(map(repr, ACTIVATIONS))
-        raise ValueError(f"activation law = {law!r}: must be one of {choices} or 'module:Class' of an Activation")
-    return kind
 
 
 def advance_activation(
@@ -183,15 +162,11 @@ def advance_activation(
 
     Activation and command have one shape, kept.
     """
-    for name, value in (("rise_time", rise_time), ("decay_time", decay_time)):
-        if (number := finite_number(value)) is None or number <= 0.0:
-            raise ValueError(f"{name} = {shown(value)}: must be positive and finite [s]")
-    if (number := finite_number(duration)) is None or number < 0.0:
-        raise ValueError(f"duration = {shown(duration)}: must be finite and not negative [s]")
-    now, towards = real_array("activation", activation), real_array("command", command)
-    if now.shape != towards.shape:
-        raise ValueError(f"command has shape {towards.shape}: must have the activation's, {now.shape}")
-    return followed(now, towards, math.exp(-float(duration / rise_time)), math.exp(-float(duration / decay_time)))
+    times = (("rise_time", rise_time), ("decay_time", decay_time))
+    rise, decay = (number(name, value, 0.0, unit="s", above=True) for name, value in times)
+    time = number("duration", duration, 0.0, unit="s")
+    now = array("activation", activation)
+    return followed(now, array("command", command, now.shape), math.exp(-time / rise), math.exp(-time / decay))
 
 
 def followed(now: FloatArray, towards: FloatArray, rising: float, falling: float) -> FloatArray:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.checks import Bounds, FloatArray, Part, finite_number, real_array, shown
+from lattice_gym.checks import FloatArray, Parameters, array, checked, choice, flag, number, real
 
 MODES = ("continuous", "episode")
 
@@ -49,7 +48,7 @@ class Strength:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Adaptation(Part):
+class Adaptation(Parameters):
     """How use changes the strength of muscles; by default it does not.
 
     Growth: once an episode a strength is multiplied by
@@ -74,45 +73,29 @@ class Adaptation(Part):
     The strength is the product of both, held within a control step. Raises ValueError for a field out of bounds.
     """
 
-    bounds: ClassVar[Bounds] = {
-        "strain_gain": (0.0, 1e6, "1"),
-        "force_gain": (0.0, 1e6, "1/N"),
-        "cap": (1.0, 1e3, "1"),
-        "episode": (1e-3, 1e9, "s"),
-        "fatigue_rate": (0.0, 1e3, "1/s"),
-        "recovery_rate": (0.0, 1e3, "1/s"),
-    }
-
-    strain_gain: float = 0.0
+    strain_gain: float = real(0.0, 0.0, 1e6, "1")
     """Growth by strain [1]."""
-    force_gain: float = 0.0
+    force_gain: float = real(0.0, 0.0, 1e6, "1/N")
     """Growth by tension [1/N]."""
-    cap: float = 2.0
+    cap: float = real(2.0, 1.0, 1e3, "1")
     """Most that growth comes to, over the strength of an untrained muscle."""
-    mode: str = "continuous"
+    mode: str = checked("continuous", choice, choices=MODES)
     """When muscles grow: "continuous", or "episode", at the reset that follows it (which needs `carry`)."""
-    episode: float = 10.0
+    episode: float = real(10.0, 1e-3, 1e9, "s")
     """Nominal length of an episode [s], in the mode "continuous"."""
-    fatigue_rate: float = 0.0
+    fatigue_rate: float = real(0.0, 0.0, 1e3, "1/s")
     """[1/s]"""
-    recovery_rate: float = 0.0
+    recovery_rate: float = real(0.0, 0.0, 1e3, "1/s")
     """[1/s]"""
-    carry: bool = False
+    carry: bool = checked(False, flag)
     """Keep strengths over a reset; otherwise every episode begins with fresh, untrained muscles."""
-    observed: bool = False
+    observed: bool = checked(False, flag)
     """Observe the strength of every muscle."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.mode, str) or self.mode not in MODES:
-            raise ValueError(f"Adaptation.mode = {shown(self.mode)}: must be one of {', '.join(MODES)}")
-        for name in ("carry", "observed"):
-            if not isinstance(getattr(self, name), bool):
-                raise ValueError(f"Adaptation.{name} = {shown(getattr(self, name))}: must be True or False")
         if self.mode == "episode" and not self.carry:
-            raise ValueError(
-                'Adaptation.carry = False: the mode "episode" changes strengths at the reset, and needs it'
-            )
+            raise self._refused("carry", 'the mode "episode" changes strengths at the reset, and needs it')
 
     @property
     def most(self) -> float:
@@ -148,18 +131,11 @@ class Adaptation(Part):
         ValueError
             A use of another shape, or out of bounds.
         """
-        given = [real_array(name, value) for name, value in
-                 (("activation", activation), ("tension", tension), ("strain", strain))]  # fmt: skip
-        for name, array in zip(("activation", "tension", "strain"), given, strict=True):
-            if array.shape != strength.grown.shape:
-                raise ValueError(f"{name}: shape must be {strength.grown.shape}, got {array.shape}")
-        active, load, strained = given[0], given[1], np.abs(given[2])
-        if (active < 0.0).any() or (active > 1.0).any():
-            raise ValueError("activation: must be from 0 to 1")
-        if (load < 0.0).any():
-            raise ValueError("tension: must not be negative [N]")
-        if (time := finite_number(duration)) is None or time < 0.0:
-            raise ValueError(f"duration = {shown(duration)}: must be finite and not negative [s]")
+        shape = strength.grown.shape
+        active = array("activation", activation, shape, 0.0, 1.0)
+        load = array("tension", tension, shape, 0.0, unit="N")
+        strained = np.abs(array("strain", strain, shape))
+        time = number("duration", duration, 0.0, unit="s")
         rate = self.fatigue_rate * active + self.recovery_rate
         goal = np.where(rate > 0.0, self.recovery_rate / np.where(rate > 0.0, rate, 1.0), strength.fresh)
         fresh = goal + (strength.fresh - goal) * np.exp(-rate * time)

@@ -21,9 +21,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from lattice_gym.checks import Bounds, FloatArray, Part
-from lattice_gym.physics.laws.base import Generalised, Law, Linearised, Shortened, optional
-from lattice_gym.physics.rod import array_of_shape, checked_size, require
+from lattice_gym.checks import REQUIRED, FloatArray, Parameters, array, checked, real, require
+from lattice_gym.physics.laws.base import Generalised, Law, Linearised, Shortened, one_or_none, vector
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
@@ -34,65 +33,51 @@ N_CENTRES = 256
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bolus(Part):
+class Bolus(Parameters):
     """A rigid ball inside the lattice, whose muscles must then be rods: lines touch nothing.
 
     A medium carries its share of the ball's weight, but neither the medium's drag nor the ground acts on it.
     """
 
-    bounds: ClassVar[Bounds] = {
-        "radius": (1e-4, 10.0, "m"),
-        "density": (1e-3, 1e5, "kg/m^3"),
-        "level": (0.0, 1e4, "levels"),
-        "stiffness": (1e-6, 1e9, "N/m"),
-        "damping": (0.0, 1e6, "N s/m"),
-        "friction": (0.0, 100.0, "1"),
-    }
-
-    radius: float = 0.03
+    radius: float = real(0.03, 1e-4, 10.0, "m")
     """[m]"""
-    density: float = 1000.0
+    density: float = real(1000.0, 1e-3, 1e5, "kg/m^3")
     """[kg/m^3]"""
-    level: float = 1.0
+    level: float = real(1.0, 0.0, 1e4, "levels")
     """Where its centre starts, on the axis, in levels from the base."""
-    stiffness: float = 50.0
+    stiffness: float = real(50.0, 1e-6, 1e9, "N/m")
     """Of its contact with an element [N/m]."""
-    damping: float = 0.05
+    damping: float = real(0.05, 0.0, 1e6, "N s/m")
     """Of that contact, along the normal [N s/m]."""
-    friction: float = 0.3
+    friction: float = real(0.3, 0.0, 100.0, "1")
     """Friction over normal force."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Ball:
+class Ball(Parameters):
     """Rigid uniform ball that pushes at elements of rods, with friction.
 
     Its forces act on the centre lines, the opposite ones and their moments on the ball, so that momentum and angular
     momentum close; rods are not twisted.
     """
 
-    position: FloatArray
+    position: FloatArray = checked(REQUIRED, array, shape=(3,), unit="m", read_only=True)
     """Where its centre starts [m], shape (3,)."""
-    radius: float
+    radius: float = real(REQUIRED, 0.0, math.inf, "m", above=True)
     """[m]"""
-    mass: float
+    mass: float = real(REQUIRED, 0.0, math.inf, "kg", above=True)
     """[kg]"""
-    stiffness: float
+    stiffness: float = real(REQUIRED, 0.0, math.inf, "N/m")
     """Of the contact with an element [N/m]."""
-    damping: float = 0.0
+    damping: float = real(0.0, 0.0, math.inf, "N s/m")
     """Of that contact, along the normal [N s/m]."""
-    friction: float = 0.0
+    friction: float = real(0.0, 0.0, math.inf, "1")
     """Friction over normal force."""
-    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    force: tuple[float, float, float] = checked((0.0, 0.0, 0.0), vector, unit="N")
     """Constant force, as its weight less what the medium carries [N]."""
 
     def __post_init__(self) -> None:
-        for name in ("radius", "mass"):
-            object.__setattr__(self, name, checked_size(f"Ball.{name}", getattr(self, name), above=True))
-        for name in ("stiffness", "damping", "friction"):
-            object.__setattr__(self, name, checked_size(f"Ball.{name}", getattr(self, name), above=False))
-        object.__setattr__(self, "position", array_of_shape("Ball.position", self.position, (3,)))
-        object.__setattr__(self, "force", tuple(array_of_shape("Ball.force", self.force, (3,)).tolist()))
+        super().__post_init__()
         sound = self.inertia > 0.0 and math.isfinite(self.inertia) and math.isfinite(1.0 / self.inertia)
         require(sound, "Ball.radius, mass: inertia leaves the range of numbers; they are far too large or too small")
 
@@ -105,7 +90,7 @@ class Ball:
 class BallLaw(Law):
     """Of the ball, if there is one."""
 
-    fields: ClassVar = {"bolus": optional(Ball)}
+    fields: ClassVar = {"bolus": one_or_none(Ball)}
 
     @classmethod
     def present(cls, model: RodModel) -> bool:

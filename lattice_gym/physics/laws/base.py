@@ -10,11 +10,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
+import numpy.typing as npt
 
-from lattice_gym.checks import FloatArray, IntArray, shown
+from lattice_gym.checks import FloatArray, IntArray, array, instance, items, optional
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
@@ -148,25 +150,16 @@ class Law(ABC):
 
 
 def tuple_of(kind: type) -> Take:
-    """Take a tuple or list of one kind of part."""
-
-    def take(name: str, given: object) -> object:
-        if not isinstance(given, tuple | list):
-            raise ValueError(f"{name} = {shown(given)}: must be a tuple of {kind.__name__}")
-        for k, value in enumerate(given):
-            if not isinstance(value, kind) or isinstance(value, bool):
-                raise ValueError(f"{name}[{k}] = {shown(value)}: must be {kind.__name__}")
-        return tuple(given)
-
-    return take
+    """Take a sequence of one kind of part."""
+    return partial(items, each=partial(instance, kind=kind), what=kind.__name__)
 
 
-def optional(kind: type) -> Take:
+def one_or_none(kind: type) -> Take:
     """Take one object, or None."""
+    return partial(optional, partial(instance, kind=kind))
 
-    def take(name: str, given: object) -> object:
-        if given is not None and not isinstance(given, kind):
-            raise ValueError(f"{name} = {shown(given)}: must be {kind.__name__} or None")
-        return given
 
-    return take
+def vector(name: str, given: npt.ArrayLike, unit: str) -> tuple[float, float, float]:
+    """Three components."""
+    x, y, z = array(name, given, (3,), unit=unit).tolist()
+    return x, y, z

@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from lattice_gym.checks import Bounds, FloatArray, IntArray, Part
-from lattice_gym.physics.laws.base import Floor, Generalised, Law, Linearised, Shortened, optional
+from lattice_gym.checks import FloatArray, IntArray, Parameters, real
+from lattice_gym.physics.laws.base import Floor, Generalised, Law, Linearised, Shortened, one_or_none
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
@@ -61,7 +61,7 @@ _AT_A_TIME = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contact(Part):
+class Contact(Parameters):
     """Rods push at each other where they come to overlap, without friction.
 
     Muscles touch nothing, a rod does not touch itself, and where rods cross they are joined: elements that are near
@@ -70,18 +70,16 @@ class Contact(Part):
     nineteen twentieths of its radii apart.
     """
 
-    bounds: ClassVar[Bounds] = {"stiffness": (1e-6, 1e9, "N/m"), "damping": (0.0, 1e6, "N s/m")}
-
-    stiffness: float = 300.0
+    stiffness: float = real(300.0, 1e-6, 1e9, "N/m")
     """Of the contact of two elements [N/m]."""
-    damping: float = 0.05
+    damping: float = real(0.05, 0.0, 1e6, "N s/m")
     """Of that contact, along the normal [N s/m]."""
 
 
 class ContactLaw(Law):
     """Of all rods that are no muscles."""
 
-    fields: ClassVar = {"contact": optional(Contact)}
+    fields: ClassVar = {"contact": one_or_none(Contact)}
 
     @classmethod
     def present(cls, model: RodModel) -> bool:

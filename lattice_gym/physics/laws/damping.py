@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray
+from lattice_gym.checks import FloatArray, require
 from lattice_gym.physics.laws.base import Generalised, Law
-from lattice_gym.physics.rod import require
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel

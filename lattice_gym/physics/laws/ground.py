@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from lattice_gym.checks import Bounds, FloatArray, Part
-from lattice_gym.physics.laws.base import Floor, Generalised, Law, Linearised, Shortened, optional
-from lattice_gym.physics.rod import FRAME_TOLERANCE, require
+from lattice_gym.checks import FloatArray, Parameters, real, require
+from lattice_gym.physics.laws.base import Floor, Generalised, Law, Linearised, Shortened, one_or_none
+from lattice_gym.physics.rod import FRAME_TOLERANCE
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ground(Part):
+class Ground(Parameters):
     """The plane z = 0, with normal contact and Coulomb friction; the defaults bear the default worm in water.
 
     It then rests at a depth of at most 5 % of a rod's radius, and the ground shortens the stable step by under 1 %.
@@ -41,35 +41,22 @@ class Ground(Part):
     counts as far as it is level: a body that stands upright has no forward, and all of its slip is sideways.
     """
 
-    bounds: ClassVar[Bounds] = {
-        "stiffness": (1e-6, 1e9, "N/m"),
-        "damping": (0.0, 1e6, "N s/m"),
-        "static_friction": (0.0, 100.0, "1"),
-        "kinetic_friction": (0.0, 100.0, "1"),
-        "forward": (0.0, 100.0, "1"),
-        "backward": (0.0, 100.0, "1"),
-        "sideways": (0.0, 100.0, "1"),
-    }
-
-    stiffness: float = 100.0
+    stiffness: float = real(100.0, 1e-6, 1e9, "N/m")
     """Of a node's contact [N/m]."""
-    damping: float = 0.1
+    damping: float = real(0.1, 0.0, 1e6, "N s/m")
     """Of a node's contact, along the normal [N s/m]."""
-    static_friction: float = 0.5
-    kinetic_friction: float = 0.5
+    static_friction: float = real(0.5, 0.0, 100.0, "1")
+    kinetic_friction: float = real(0.5, 0.0, 100.0, "1")
     """Friction over normal force, at rest (never less than in motion) and in motion."""
-    forward: float = 1.0
-    backward: float = 1.0
-    sideways: float = 1.0
+    forward: float = real(1.0, 0.0, 100.0, "1")
+    backward: float = real(1.0, 0.0, 100.0, "1")
+    sideways: float = real(1.0, 0.0, 100.0, "1")
     """Factors on both coefficients for slip towards the body's top, its base and across: alike they are isotropic."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.static_friction < self.kinetic_friction:
-            raise ValueError(
-                f"Ground.static_friction = {self.static_friction!r}: must not be below "
-                f"kinetic_friction = {self.kinetic_friction!r}"
-            )
+            raise self._refused("static_friction", f"must not be below kinetic_friction = {self.kinetic_friction!r}")
 
     @property
     def isotropic(self) -> bool:
@@ -108,7 +95,7 @@ class Ground(Part):
 class GroundLaw(Law):
     """Of every node."""
 
-    fields: ClassVar = {"ground": optional(Ground)}
+    fields: ClassVar = {"ground": one_or_none(Ground)}
 
     @classmethod
     def present(cls, model: RodModel) -> bool:

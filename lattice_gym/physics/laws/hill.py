@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from lattice_gym.checks import Bounds, FloatArray, Part
+from lattice_gym.checks import FloatArray, Parameters, real
 from lattice_gym.physics.laws.base import Generalised, Law, Linearised, Shortened, Ties
 from lattice_gym.physics.laws.muscles import Strands
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hill(Part):
+class Hill(Parameters):
     """Factors on the tension of every muscle, by its length and its speed (Hill 1938, Proc. R. Soc. B 126:136).
 
     The forms are those of Thelen 2003 (J. Biomech. Eng. 125:70) at full activation. With l the length over the length
@@ -45,24 +45,15 @@ class Hill(Part):
     longer step does not blow up, as the factor is bounded, but muscles chatter.
     """
 
-    bounds: ClassVar[Bounds] = {
-        "width": (1e-2, 1e6, "1"),
-        "optimal_length": (0.1, 10.0, "rest lengths"),
-        "max_speed": (1e-3, 1e9, "rest lengths / s"),
-        "curvature": (1e-2, 1e6, "1"),
-        "eccentric": (1.01, 10.0, "1"),
-    }
-    optional: ClassVar[tuple[str, ...]] = ("width", "max_speed")
-
-    width: float | None = math.sqrt(0.45)
+    width: float | None = real(math.sqrt(0.45), 1e-2, 1e6, "1", none=True)
     """Of the force-length curve, over the length of greatest force; None: force does not depend on length."""
-    optimal_length: float = 1.0
+    optimal_length: float = real(1.0, 0.1, 10.0, "rest lengths")
     """Length of greatest force, over the length at rest."""
-    max_speed: float | None = 10.0
+    max_speed: float | None = real(10.0, 1e-3, 1e9, "rest lengths / s", none=True)
     """Shortening at which no force is left [rest lengths / s]; None: force does not depend on speed."""
-    curvature: float = 0.25
+    curvature: float = real(0.25, 1e-2, 1e6, "1")
     """A of Hill's hyperbola: large is a straight line."""
-    eccentric: float = 1.4
+    eccentric: float = real(1.4, 1.01, 10.0, "1")
     """Force at which a muscle yields while it is lengthened fast, over that at rest."""
 
     @property

@@ -6,6 +6,7 @@ no couple acts. Stored is k x^2 / 2.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,9 +14,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.checks import REQUIRED, FloatArray, IntArray, Parameters, count, real, require
 from lattice_gym.physics.laws.base import Generalised, Law, Linearised, Shortened, Ties, tuple_of
-from lattice_gym.physics.rod import checked_size, require
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Joint:
+class Joint(Parameters):
     """Spherical joint: a spring and a dashpot of zero rest length between two nodes."""
 
-    rod_a: int
-    node_a: int
-    rod_b: int
-    node_b: int
-    stiffness: float
+    rod_a: int = count(REQUIRED)
+    node_a: int = count(REQUIRED)
+    rod_b: int = count(REQUIRED)
+    node_b: int = count(REQUIRED)
+    stiffness: float = real(REQUIRED, 0.0, math.inf, "N/m")
     """[N/m]"""
-    damping: float = 0.0
+    damping: float = real(0.0, 0.0, math.inf, "N s/m")
     """[N s/m]"""
 
 
@@ -59,14 +59,12 @@ class JointLaw(Law):
         return np.array([joint.damping for joint in self.model.joints])
 
     def check(self) -> None:
-        """Refuse nodes that are none, a node joined with itself, and negative constants."""
+        """Refuse nodes that are none, and a node joined with itself."""
         for k, joint in enumerate(self.model.joints):
             self.model.check_node(f"joints[{k}]", joint.rod_a, joint.node_a)
             self.model.check_node(f"joints[{k}]", joint.rod_b, joint.node_b)
             same = (joint.rod_a, joint.node_a) == (joint.rod_b, joint.node_b)
             require(not same, f"joints[{k}]: joins a node with itself")
-            for name in ("stiffness", "damping"):
-                checked_size(f"joints[{k}].{name}", getattr(joint, name), above=False)
 
     def energy(self, state: RodState) -> Mapping[str, FloatArray]:
         """Of every joint's spring, shape (n_joint,)."""

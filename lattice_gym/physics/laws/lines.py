@@ -14,37 +14,48 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray, IntArray, finite_number
+from lattice_gym.checks import REQUIRED, FloatArray, IntArray, Parameters, checked, count, number, real, require
 from lattice_gym.physics.laws.base import Generalised, Law, Linearised, Shortened, Ties, tuple_of
 from lattice_gym.physics.laws.elasticity import path_share
-from lattice_gym.physics.rod import FRAME_TOLERANCE, checked_size, require
+from lattice_gym.physics.rod import FRAME_TOLERANCE
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
     from lattice_gym.physics.state import RodState
 
 
+def _density(name: str, given: object) -> float:
+    if isinstance(given, float) and given == math.inf:
+        return given
+    return number(name, given, 0.0, unit="kg/m^3", above=True)
+
+
 @dataclass(frozen=True)
-class Line:
+class Line(Parameters):
     """Muscle without nodes of its own: the tension and stretch of a straight rod between two nodes.
 
     Its mass and its damping stand on its two ends, half on either.
     """
 
-    rod_a: int
-    node_a: int
-    rod_b: int
-    node_b: int
-    rest_length: float
+    rod_a: int = count(REQUIRED)
+    node_a: int = count(REQUIRED)
+    rod_b: int = count(REQUIRED)
+    node_b: int = count(REQUIRED)
+    rest_length: float = real(REQUIRED, 0.0, math.inf, "m", above=True)
     """[m]"""
-    stiffness: float
+    stiffness: float = real(REQUIRED, 0.0, math.inf, "N")
     """E A [N]"""
-    mass: float = 0.0
+    mass: float = real(0.0, 0.0, math.inf, "kg")
     """[kg]"""
-    damping: float = 0.0
+    damping: float = real(0.0, 0.0, math.inf, "N s/m")
     """[N s/m]"""
-    density: float = math.inf
+    density: float = checked(math.inf, _density)
     """What its mass has for a volume [kg/m^3]: a medium carries nothing of an infinitely dense one."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not math.isfinite(self.stiffness / self.rest_length):
+            raise self._refused("rest_length", "far too short for its stiffness [m]")
 
 
 class LineLaw(Law):
@@ -70,21 +81,15 @@ class LineLaw(Law):
         return np.array([line.stiffness for line in self.model.lines])
 
     def check(self) -> None:
-        """Refuse nodes that are none, constants out of bounds, and ends at one place."""
+        """Refuse nodes that are none, and ends at one place."""
         model = self.model
         for k, line in enumerate(model.lines):
             model.check_node(f"lines[{k}]", line.rod_a, line.node_a)
             model.check_node(f"lines[{k}]", line.rod_b, line.node_b)
-            for name in ("rest_length", "stiffness", "mass", "damping"):
-                checked_size(f"lines[{k}].{name}", getattr(line, name), above=name == "rest_length")
-            if not (isinstance(line.density, float) and line.density == math.inf):
-                checked_size(f"lines[{k}].density", line.density, above=True)
-            stiff = finite_number(float(line.stiffness) / float(line.rest_length)) is not None
-            require(stiff, f"lines[{k}].rest_length = {line.rest_length}: far too short for its stiffness")
             a, b = model.rods[line.rod_a].position[line.node_a], model.rods[line.rod_b].position[line.node_b]
             with np.errstate(all="ignore"):
                 length = math.sqrt(np.sum((b - a) ** 2))
-            apart = FRAME_TOLERANCE * float(line.rest_length) < length < math.inf
+            apart = FRAME_TOLERANCE * line.rest_length < length < math.inf
             require(apart, f"lines[{k}]: its two ends lie at one place at rest, or too far apart")
 
     def energy(self, state: RodState) -> Mapping[str, FloatArray]:

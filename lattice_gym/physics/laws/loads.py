@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray
-from lattice_gym.physics.laws.base import Generalised, Law, tuple_of
-from lattice_gym.physics.rod import array_of_shape
+from lattice_gym.checks import REQUIRED, FloatArray, Parameters, checked, count
+from lattice_gym.physics.laws.base import Generalised, Law, tuple_of, vector
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
@@ -20,22 +19,22 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class PointForce:
+class PointForce(Parameters):
     """Constant force on a node."""
 
-    rod: int
-    node: int
-    force: tuple[float, float, float]
+    rod: int = count(REQUIRED)
+    node: int = count(REQUIRED)
+    force: tuple[float, float, float] = checked(REQUIRED, vector, unit="N")
     """In the laboratory frame [N]."""
 
 
 @dataclass(frozen=True)
-class PointTorque:
+class PointTorque(Parameters):
     """Constant torque on an element."""
 
-    rod: int
-    element: int
-    torque: tuple[float, float, float]
+    rod: int = count(REQUIRED)
+    element: int = count(REQUIRED)
+    torque: tuple[float, float, float] = checked(REQUIRED, vector, unit="N m")
     """In the material frame [N m]: it turns with the element."""
 
 
@@ -50,13 +49,11 @@ class LoadLaw(Law):
         return len(model.forces) + len(model.torques) > 0
 
     def check(self) -> None:
-        """Refuse nodes and elements that are none, and what is no vector."""
+        """Refuse nodes and elements that are none."""
         for k, force in enumerate(self.model.forces):
             self.model.check_node(f"forces[{k}]", force.rod, force.node)
-            array_of_shape(f"forces[{k}].force", force.force, (3,))
         for k, torque in enumerate(self.model.torques):
             self.model.check_element(f"torques[{k}]", torque.rod, torque.element)
-            array_of_shape(f"torques[{k}].torque", torque.torque, (3,))
 
     def work(self, before: RodState, after: RodState) -> float:
         """Of the forces [J]."""

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from lattice_gym.checks import Bounds, FloatArray, Part
+from lattice_gym.checks import FloatArray, Parameters, array, number, optional, real, require
 from lattice_gym.physics.laws.base import Generalised, Law
-from lattice_gym.physics.rod import array_of_shape, checked_size, require
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
@@ -24,35 +23,25 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Medium(Part):
+class Medium(Parameters):
     """Fluid at rest around the worm, under gravity along -z."""
 
-    bounds: ClassVar[Bounds] = {
-        "gravity": (0.0, 100.0, "m/s^2"),
-        "density": (0.0, 20_000.0, "kg/m^3"),
-        "drag": (0.0, 1e6, "N s/m^2"),
-    }
-
-    gravity: float = 9.81
+    gravity: float = real(9.81, 0.0, 100.0, "m/s^2")
     """[m/s^2]"""
-    density: float = 1000.0
+    density: float = real(1000.0, 0.0, 20_000.0, "kg/m^3")
     """Of the fluid [kg/m^3]: what it carries of a rod's weight."""
-    drag: float = 0.0
+    drag: float = real(0.0, 0.0, 1e6, "N s/m^2")
     """Resistance to motion, per speed and length of a rod [N s/m^2]."""
-
-
-def _vector_or_none(name: str, given: object) -> object:
-    return None if given is None else array_of_shape(name, given, (3,))  # type: ignore[arg-type]
-
-
-def _not_negative(name: str, given: object) -> object:
-    return checked_size(name, given, above=False)
 
 
 class MediumLaw(Law):
     """Weight in a medium."""
 
-    fields: ClassVar = {"gravity": _vector_or_none, "medium_density": _not_negative, "medium_drag": _not_negative}
+    fields: ClassVar = {
+        "gravity": partial(optional, partial(array, shape=(3,), unit="m/s^2", read_only=True)),
+        "medium_density": partial(number, low=0.0, unit="kg/m^3"),
+        "medium_drag": partial(number, low=0.0, unit="N s/m^2"),
+    }
     gauge = True
 
     @classmethod

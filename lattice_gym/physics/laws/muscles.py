@@ -6,16 +6,14 @@ tension is given; what of it acts depends on length and speed with `hill`. Its p
 
 from __future__ import annotations
 
-from functools import cached_property
-from numbers import Integral
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray, IntArray
-from lattice_gym.physics.laws.base import Generalised, Law, Shortened, tuple_of
+from lattice_gym.checks import FloatArray, IntArray, items, require, whole
+from lattice_gym.physics.laws.base import Generalised, Law, Shortened
 from lattice_gym.physics.laws.elasticity import MIN_DILATATION
-from lattice_gym.physics.rod import require
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
@@ -98,7 +96,7 @@ class MuscleLaw(Law):
     and `lines`.
     """
 
-    fields: ClassVar = {"muscles": tuple_of(Integral)}
+    fields: ClassVar = {"muscles": partial(items, each=partial(whole, low=0), what="rods")}
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
