@@ -83,7 +83,7 @@ SCENES: dict[str, tuple[RodModel, Splitting]] = {
     "extension": (worm(), "pyelastica"),
     "symmetric": (worm(layout="all"), "symmetric"),
     "ground": (worm(LYING, base="free", damping=1e-3), "symmetric"),
-    "by direction": (worm(BY_DIRECTION, base="free", damping=1e-3), "symmetric"),
+    "by direction": (worm(BY_DIRECTION, base="free", damping=1e-3, muscle_model="line"), "symmetric"),
     "hill": (worm(hill=Hill()), "symmetric"),
     "lines": (worm(muscle_model="line", joint_damping=0.01), "symmetric"),
     "contact": (worm(World(contact=Contact(stiffness=10.0))), "symmetric"),

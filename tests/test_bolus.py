@@ -294,7 +294,8 @@ def test_engines_agree() -> None:
 def test_engines_agree_with_all_around() -> None:
     """A worm with a ball that lies on the ground in a medium: to rounding over a tenth of a second."""
     lattice = build_lattice(LatticeDesign(**SMALL, base="free"))
-    world = World(medium=Medium(density=900.0, drag=0.1), ground=Ground(), bolus=Bolus(level=1.5), lying=True)
+    ground = Ground(forward=0.4, backward=1.5)
+    world = World(medium=Medium(density=900.0, drag=0.1), ground=ground, bolus=Bolus(level=1.5), lying=True)
     model = build_model(lattice, named_layout("all", lattice), world)
     dt, states = default_dt(model, 0.05, 0.5), []
     for name in ("fused", "pyelastica"):
@@ -358,7 +359,7 @@ def test_a_wave_keeps_momentum(engine_name: EngineName) -> None:
 
 def test_restart_is_exact(engine_name: EngineName) -> None:
     """The ball goes on to the last bit from a state, which shares no memory with the engine."""
-    model, dt = worm()
+    model, dt = worm(Medium(density=900.0))
     pull = np.random.default_rng(2).uniform(0.0, 0.5, model.n_muscle)
     first = simulate(engine_name, model, dt)
     first.restore(replace(model.rest_state(), bolus_omega=np.array([[1.0, 2.0, 3.0]])))

@@ -102,10 +102,12 @@ def test_the_ground_takes_what_motion_loses(case: Case, engine_name: EngineName)
     assert entry.dissipated == pytest.approx(-entry.stored, rel=1e-12)
 
 
-@pytest.mark.parametrize(("kind", "most"), [("rod", 1e-2), ("line", 2e-2)])
-def test_a_worm_on_the_ground_keeps_its_books(kind: str, most: float) -> None:
-    """What random muscles put in is stored or dissipated; the law leaves up to `most`, as in the air."""
-    lattice = build_lattice(LatticeDesign(**SMALL, base="free", damping=1e-3, muscle_model=cast(Any, kind)))
+def test_a_worm_on_the_ground_keeps_its_books() -> None:
+    """What random lines put in is stored or dissipated; the law leaves up to a fiftieth, as in the air.
+
+    That of a worm with rods as muscles, which crawls, is in test_ground.
+    """
+    lattice = build_lattice(LatticeDesign(**SMALL, base="free", damping=1e-3, muscle_model="line"))
     world = World(medium=Medium(drag=0.1), ground=Ground(static_friction=0.8, forward=0.5), lying=True)
     model = build_model(lattice, named_layout("all", lattice), world)
     engine = simulate("fused", model, 1e-4, "symmetric", True)
@@ -116,36 +118,31 @@ def test_a_worm_on_the_ground_keeps_its_books(kind: str, most: float) -> None:
         assert entry is not None
         residual, lost = residual + entry.residual, lost + entry.dissipated
     assert lost > 0.0
-    assert abs(residual) < most * lost
+    assert abs(residual) < 2e-2 * lost
 
 
-def _assembly(muscles: str, *, smooth: bool = False) -> RodModel:
-    """Join a rod to the tip of a clamped one with a dashpot, a muscle across and loads on it.
+def _assembly(*, smooth: bool = False) -> RodModel:
+    """Join a rod to the tip of a clamped one with a dashpot, a muscle and a line across and loads on it.
 
     A smooth one has no dashpot, no damping of spin and no torque.
     """
     damped = {"damping": 0.02, "rotational_damping": 0.0 if smooth else 1e-3}
-    rods = [
+    rods = (
         straight_rod((0, 0, 0), (0, 0, 1), 4, **ROD, **damped),
         straight_rod((0, 0, 1), (1, 0, 1), 4, **ROD, **damped),
-    ]
-    joints = [Joint(0, 4, 1, 0, 500.0, 0.0 if smooth else 0.5)]
-    lines: tuple[Line, ...] = ()
-    if muscles == "rod":
-        rods.append(straight_rod((0, 0, 0.5), (0.5, 0, 1), 2, **ROD))
-        joints += [Joint(0, 2, 2, 0, 500.0), Joint(1, 2, 2, 2, 500.0)]
-    else:
-        lines = (Line(0, 2, 1, 2, np.sqrt(0.5), 300.0, 0.1, 0.1),)
+        straight_rod((0, 0, 0.5), (0.5, 0, 1), 2, **ROD),
+    )
+    joint = Joint(0, 4, 1, 0, 500.0, 0.0 if smooth else 0.5)
     return RodModel(
-        rods=tuple(rods), joints=tuple(joints), lines=lines, muscles=(2,) if muscles == "rod" else (),
-        clamps=(Clamp(0, 0, 0),), forces=(PointForce(1, 4, (0.0, 3.0, -2.0)),),
-        torques=() if smooth else (PointTorque(1, 2, (0.1, 0.2, 0.3)),),
+        rods=rods, joints=(joint, Joint(0, 2, 2, 0, 500.0), Joint(1, 2, 2, 2, 500.0)), muscles=(2,),
+        lines=(Line(0, 2, 1, 2, np.sqrt(0.5), 300.0, 0.1, 0.1),), clamps=(Clamp(0, 0, 0),),
+        forces=(PointForce(1, 4, (0.0, 3.0, -2.0)),), torques=() if smooth else (PointTorque(1, 2, (0.1, 0.2, 0.3)),),
     )  # fmt: skip
 
 
 def _worked(engine: Simulation, time: float, n_call: int) -> tuple[FloatArray, float]:
     """Muscle work, load work, dissipation and stored energy of ramps up and down; and the residual."""
-    ramps = [20.0 * np.array([[k % 2], [(k + 1) % 2]]) for k in range(n_call)]
+    ramps = [20.0 * np.tile([[k % 2], [(k + 1) % 2]], engine.model.n_muscle) for k in range(n_call)]
     total, residual = np.zeros(4), 0.0
     for ramp in ramps:
         assert engine.advance(ramp, round(time / n_call / engine.dt)).ok
@@ -176,35 +173,33 @@ def _order(left: FloatArray) -> float:
     return slope(STEPS[:-1], np.abs(np.diff(left)).tolist())
 
 
-@pytest.mark.parametrize(("muscles", "most"), [("rod", 4.5e-5), ("line", 2.1e-4)])
-def test_the_ledger_balances(muscles: str, most: float) -> None:
+def test_the_ledger_balances() -> None:
     """Every part comes in; halving the step shrinks what it adds to the residual, down to what the law itself leaves.
 
-    PyElastica's damping and the dashpots move the motion itself to first order, and what the law leaves with it. `most`
-    is the residual at the finest step, a tenth to spare.
+    PyElastica's damping and the dashpots move the motion itself to first order, and what the law leaves with it. The
+    residual at the finest step has a tenth to spare.
     """
-    books = [_books(_assembly(muscles), splitting) for splitting in get_args(Splitting)]
-    for (parts, left), least in zip(books, (0.95, 1.9), strict=True):
+    books = [_books(_assembly(), splitting) for splitting in get_args(Splitting)]
+    for (parts, left), least in zip(books, (0.85, 1.9), strict=True):  # A part of second order still shows.
         assert np.all(np.abs(parts[-1]) > 1e-2)
         assert parts[-1, 2] > 0.0
         assert _order(left) > least
-        assert abs(left[-1]) < most
+        assert abs(left[-1]) < 1.05e-4
         apart = np.abs(parts - books[-1][0][-1]).max(axis=1)
-        assert np.all(apart < 2e-4 * np.array(STEPS) / STEPS[0])
+        assert np.all(apart < 2e-5 * np.array(STEPS) / STEPS[0])
 
 
-@pytest.mark.parametrize(("muscles", "most"), [("rod", 2e-4), ("line", 2.3e-3)])
-def test_the_ledger_shows_the_order_of_the_splitting(muscles: str, most: float) -> None:
+def test_the_ledger_shows_the_order_of_the_splitting() -> None:
     """Without dashpots, halving the step quarters the residual's excess of a symmetric step.
 
-    PyElastica's step differs from that by an amount that halves. `most` is what the law leaves, a tenth to spare.
+    PyElastica's step differs from that by an amount that halves. What the law leaves has a tenth to spare.
     """
-    model = _assembly(muscles, smooth=True)
+    model = _assembly(smooth=True)
     (_, explicit), (parts, symmetric) = _books(model, "pyelastica"), _books(model, "symmetric")
     assert _order(symmetric) == pytest.approx(2.0, abs=0.03)
     assert slope(STEPS, np.abs(explicit - symmetric).tolist()) == pytest.approx(1.0, abs=0.03)
-    assert abs(symmetric[-1]) < most
-    assert np.all(np.abs(parts - parts[-1]).max(axis=1) < 4e-6 * (np.array(STEPS) / STEPS[0]) ** 2)
+    assert abs(symmetric[-1]) < 1.15e-3
+    assert np.all(np.abs(parts - parts[-1]).max(axis=1) < 1e-6 * (np.array(STEPS) / STEPS[0]) ** 2)
 
 
 @pytest.mark.parametrize("splitting", get_args(Splitting))
@@ -236,10 +231,9 @@ def test_nothing_is_left_of_a_run_that_failed(engine_name: EngineName, lattice: 
     assert engine.ledger == fresh.ledger
 
 
-@pytest.mark.parametrize("muscles", ["rod", "line"])
-def test_engines_keep_the_same_books(muscles: str) -> None:
+def test_engines_keep_the_same_books() -> None:
     """PyElastica's own steps, counted in numpy, give the same work, dissipation and energy."""
-    books = [_worked(simulate(name, _assembly(muscles), 2e-4, energy_check=True), 0.1, 2)[0]
+    books = [_worked(simulate(name, _assembly(), 2e-4, energy_check=True), 0.1, 2)[0]
              for name in ("fused", "pyelastica")]  # fmt: skip
     np.testing.assert_allclose(books[0], books[1], rtol=1e-3, atol=1e-6)
 

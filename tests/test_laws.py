@@ -30,22 +30,27 @@ from lattice_gym.physics.state import RodState
 
 DT = 1e-4
 SOFT: dict[str, Any] = {"radius": 0.02, "density": 800.0, "youngs_modulus": 3e3, "shear_modulus": 1e3}
+LOADS: dict[str, Any] = {
+    "forces": (PointForce(1, 2, (0.1, 0.2, -0.3)),),
+    "torques": (PointTorque(0, 1, (1e-3, 2e-3, 3e-3)),),
+}
 PARTS: dict[type[Law], dict[str, Any]] = {
     ElasticityLaw: {},
     JointLaw: {"joints": (Joint(0, 3, 1, 0, 40.0, 0.3), Joint(1, 2, 2, 0, 30.0))},
     MuscleLaw: {"muscles": (2,)},
     LineLaw: {"lines": (Line(0, 1, 1, 2, 0.2, 5.0, 0.01), Line(0, 3, 2, 1, 0.3, 4.0))},
     HillLaw: {"muscles": (2,), "lines": (Line(0, 1, 1, 2, 0.2, 5.0),), "hill": Hill(optimal_length=1.1, max_speed=4.0)},
-    MediumLaw: {"gravity": np.array([1.0, -2.0, -9.0]), "medium_density": 300.0,
-                "lines": (Line(0, 1, 1, 2, 0.2, 1.0, 0.1),)},
-    LoadLaw: {"forces": (PointForce(1, 2, (0.1, 0.2, -0.3)),), "torques": (PointTorque(0, 1, (1e-3, 2e-3, 3e-3)),)},
-    GroundLaw: {"ground": Ground(stiffness=50.0, damping=0.5, static_friction=0.0, kinetic_friction=0.0)},
+    MediumLaw: LOADS | {"gravity": np.array([1.0, -2.0, -9.0]), "medium_density": 300.0,
+                        "lines": (Line(0, 1, 1, 2, 0.2, 1.0, 0.1),)},
+    LoadLaw: LOADS | {"lines": (Line(0, 1, 1, 2, 0.2, 1.0),)},
+    GroundLaw: {"ground": Ground(stiffness=50.0, damping=0.5, static_friction=0.0, kinetic_friction=0.0),
+                "forces": LOADS["forces"]},
     BallLaw: {"bolus": Ball(position=np.array([0.12, 0.03, 0.02]), radius=0.05, mass=0.3, stiffness=60.0, damping=0.8,
                             force=(0.1, -0.2, 0.3))},
     ContactLaw: {"contact": Contact(stiffness=70.0, damping=0.6)},
     DampingLaw: {"medium_drag": 0.4},
 }  # fmt: skip
-"""What a model needs for each law to act."""
+"""What a model needs for each law to act. Laws that share a scene share its compiled code."""
 
 
 def _model(**parts: Any) -> RodModel:

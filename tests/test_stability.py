@@ -254,7 +254,8 @@ def test_a_contracted_muscle() -> None:
 def isometric(muscle: str, hill: Hill) -> RodModel:
     """Make a muscle of four elements held at both ends, or two lines with a node between them."""
     clamps = (Clamp(0, node=0, element=0), Clamp(0, node=4, element=3))
-    rod = straight_rod((0, 0, 0), (0, 0, 1), 4, **(STEEL | {"youngs_modulus": 1e4, "shear_modulus": 4e3}))
+    soft = {"youngs_modulus": 1e4, "shear_modulus": 4e3, "rotational_damping": 1e-6}
+    rod = straight_rod((0, 0, 0), (0, 0, 1), 4, **(STEEL | soft))
     if muscle == "rod":
         return RodModel(rods=(rod,), muscles=(0,), clamps=clamps, hill=hill)
     lines = tuple(Line(0, a, 0, a + 2, 0.5, 100.0, 0.1) for a in (0, 2))
