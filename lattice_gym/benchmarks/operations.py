@@ -1,7 +1,7 @@
 """Floating-point operations of a step, counted while the kernels' own source runs on numbers that count.
 
 With numba's compilation switched off the kernels are plain Python: `count_operations` starts such a process, in which
-this module catches what the fused engine packs for the benchmark scene on its way into `step.advance`, puts counting
+this module catches what the fused engine packs for the benchmark scene on its way into `kernels.advance`, puts counting
 numbers into every lane that holds a rod, and takes what two steps need more than one. So the count is that of the
 source as it stands, of what the scene has and of no spare lane; the compiler may still save some of it.
 """
@@ -14,7 +14,6 @@ import os
 import subprocess
 import sys
 from collections import Counter
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from types import SimpleNamespace
 from typing import Any, NoReturn
@@ -129,59 +128,53 @@ class _CaughtError(Exception):
 
 
 def _packed() -> dict[str, Any]:
-    """Arguments of `step.advance`, by name, as the fused engine packs the benchmark scene."""
+    """Arguments of `kernels.advance`, by name, as the fused engine packs the benchmark scene."""
     from lattice_gym.benchmarks.engines import BENCHMARK_DT, benchmark_model
-    from lattice_gym.engines.fused.kernels import step
+    from lattice_gym.engines.fused import kernels
     from lattice_gym.engines.registry import make_engine
 
-    signature = inspect.signature(step.advance)
+    signature = inspect.signature(kernels.advance)
 
     def catch(*arguments: Any) -> NoReturn:
         raise _CaughtError(dict(signature.bind(*arguments).arguments))
 
     model = benchmark_model()
     engine = make_engine("fused", model, BENCHMARK_DT)
-    with patch.object(step, "advance", catch):
+    with patch.object(kernels, "advance", catch):
         try:
             engine.advance(np.full(model.n_muscle, 0.5), 1)
         except _CaughtError as caught:
             return caught.arguments
-    raise RuntimeError("step.advance was not called")
+    raise RuntimeError("kernels.advance was not called")
 
 
 def _count() -> Work:
     """Count in this process; only where compilation is off."""
-    from lattice_gym.engines.fused.kernels import step
-    from lattice_gym.engines.fused.kernels.layout import CELL, LANES, WORK
+    from lattice_gym.engines.fused import kernels
 
     arguments = _packed()
-    blocks = arguments["blocks"]
-    cells, counting = blocks.cells, np.frompyfunc(Counting, 1, 1)
-    fields = {name: cells[name].astype(object) for name in CELL.names or ()}
+    cells, counting = arguments["cells"], np.frompyfunc(Counting, 1, 1)
+    fields = {name: cells[name].astype(object) for name in kernels.CELL.names or ()}
     elements = lane_elements = 0
-    for first, last in (*blocks.passive, *blocks.active):
+    for first, last in (*arguments["passive"], *arguments["active"]):
         # A force moves a node of every rod, and nothing of a spare lane.
         held = (cells["push"][first:last] > 0.0).any(axis=0)
         for array in fields.values():
             array[first:last, ..., held] = counting(array[first:last, ..., held])
         elements += int(held.sum()) * int(last - first - 1)
-        lane_elements += LANES * int(last - first - 1)
-    work = Records({name: blocks.work[name].astype(object) for name in WORK.names or ()})
-    arguments["blocks"] = blocks._replace(cells=Records(fields), work=work)
+        lane_elements += kernels.LANES * int(last - first - 1)
+    work = arguments["work"]
+    arguments["cells"] = Records(fields)
+    arguments["work"] = Records({name: work[name].astype(object) for name in kernels.WORK.names or ()})
     counts = []
-    with ExitStack() as patched:
-        for name, module in list(sys.modules.items()):
-            if name.startswith(step.__package__):
-                if hasattr(module, "fma"):
-                    patched.enter_context(patch.object(module, "fma", _fused))
-                # What the functions return is a float already, as they say for those who read types.
-                patched.enter_context(patch.object(module, "float", lambda number: number, create=True))
+    # What the functions return is a float already, as they say for those who read types.
+    with patch.object(kernels, "fma", _fused), patch.object(kernels, "float", lambda number: number, create=True):
         for n_steps in (1, 2):
             _done.clear()
-            step.advance(**arguments | {"n_steps": n_steps})
+            kernels.advance(**arguments | {"n_steps": n_steps})
             counts.append(dict(_done))
     operations = {kind: counts[1].get(kind, 0) - counts[0].get(kind, 0) for kind in KINDS}
-    return Work(operations, elements, lane_elements, CELL.itemsize / LANES)
+    return Work(operations, elements, lane_elements, kernels.CELL.itemsize / kernels.LANES)
 
 
 def count_operations() -> Work:

@@ -14,7 +14,7 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.fused.kernels.layout import CELL
+from lattice_gym.engines.fused import kernels
 from lattice_gym.engines.fused.pack import n_record
 from lattice_gym.engines.registry import make_engine
 from lattice_gym.physics.assembly import RodModel
@@ -84,7 +84,7 @@ def fit(count: Sequence[float], cost: Sequence[float]) -> Line:
 
 def record_bytes(model: RodModel) -> int:
     """Size of the records of a model [bytes]: rods of one length share blocks of lanes, muscles apart from others."""
-    return int(CELL.itemsize) * n_record(model, 1)
+    return int(kernels.CELL.itemsize) * n_record(model, 1)
 
 
 def _worm(design: LatticeDesign, n_muscle: int | None = None) -> RodModel:

@@ -37,7 +37,7 @@ from lattice_gym.benchmarks.throughput_study import (
 )
 from lattice_gym.benchmarks.timing import digits, interleaved, median, spread
 from lattice_gym.body.design import LatticeDesign
-from lattice_gym.engines.fused.kernels.layout import LANES
+from lattice_gym.engines.fused import kernels
 from lattice_gym.recording.provenance import provenance
 
 SINGLE_RATIO, BATCH_RATIO = 200.0, 400.0
@@ -236,7 +236,7 @@ def _growth_parts(grown: dict[str, Growth], plan: Plan, cache: int | None) -> li
         "Straight lines through the medians, each by its relative distance:",
         table(["cost against", "start [us]", "for each [ns]", "largest departure"], rows),
         f"The second-level cache of a core is {size}; every step goes through all records, and what goes beyond it is "
-        f"fetched from further away. Rods of one length stand {LANES} to a block, and a block costs the same "
+        f"fetched from further away. Rods of one length stand {kernels.LANES} to a block, and a block costs the same "
         "however many of its lanes are taken, so that cost grows by blocks.",
     ]
 
