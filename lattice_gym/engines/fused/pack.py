@@ -291,7 +291,7 @@ class Pack:
         first = start + 0.5 * rise
         self._tension.write(first, rise)
         lines.write_tension(self.scene.lines, first, rise)
-        step.run(self.blocks, self.scene, self._worms, n_substeps, self._dt)
+        step.advance(self.blocks, self.scene, self._worms, n_substeps, self._dt)
         self._time += n_substeps * self._dt
         return self._worms.status
 

@@ -23,9 +23,12 @@ _TOLERANCE = 1e-9
 _LEAST_SQUARE = 1e-300
 
 TOUCH = np.dtype(
-    [(name, np.int64) for name in ("cell", "lane", "first", "second")]
-    + [(name, np.float64) for name in ("far", "near_push", "far_push", "effective_mass", "most")]
-    + [(name, np.float64, (3,)) for name in ("gap", "normal", "early", "friction")]
+    (
+        np.record,
+        [(name, np.int64) for name in ("cell", "lane", "first", "second")]
+        + [(name, np.float64) for name in ("far", "near_push", "far_push", "effective_mass", "most")]
+        + [(name, np.float64, (3,)) for name in ("gap", "normal", "early", "friction")],
+    )
 )
 """An element on which the ball's friction acts in this step: record, lane, rows of its nodes in `Ball.nodes`, share of
 the second.

@@ -20,8 +20,8 @@ from lattice_gym.physics.laws.damping import Splitting, damping_shares
 from lattice_gym.physics.rod import Rod
 
 # Of y, (1 - exp(-y)) / y, exact to rounding up to y = 0.25:
-_LARGE_DECAY = 0.25
-_TAIL = series(lambda y: -np.expm1(-y) / y, 8, _LARGE_DECAY)
+LARGE_DECAY = 0.25
+_TAIL = series(lambda y: -np.expm1(-y) / y, 8, LARGE_DECAY)
 # Spin damped to less than this share within a step is too slow to count; the bound keeps 1 / keep^4 finite.
 _LEAST_KEEP = 1e-70
 # A rate of damping this large leaves no speed worth counting; without the bound what it left would overflow.
@@ -70,18 +70,12 @@ def spin_tail(y: float) -> float:
     return float(fma(y2 * y2, fma(y2 * y2, _TAIL[8], high), low))
 
 
-@inlined
-def is_large_decay(y: float) -> bool:
-    """Whether the series of `spin_tail` does not reach a decay."""
-    return y > _LARGE_DECAY
-
-
 @compiled_strictly
 def large_decay(here: Any, work: Any, symmetric: float | None) -> None:
     """Write what damping leaves of the spin of element e where the series does not reach."""
     for j in range(LANES):
         y = here.spin_decay[j] * work.length[j]
-        if y > _LARGE_DECAY:
+        if y > LARGE_DECAY:
             work.spin_keep[j] = np.exp(-y)
             if symmetric is not None:
                 work.spin_late[j] = (1.0 - np.exp(-y)) / y

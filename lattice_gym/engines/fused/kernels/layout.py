@@ -21,8 +21,12 @@ _CACHE_LINE = 64
 
 
 def _record(**fields: int) -> np.dtype[np.void]:
-    """Record of fields by their number of components; `x[i, lane]`, or `rest[lane]` of a single one."""
-    return np.dtype([(name, np.float64, (n, LANES) if n > 1 else (LANES,)) for name, n in fields.items()])
+    """Record of fields by their number of components; `x[i, lane]`, or `rest[lane]` of a single one.
+
+    As `np.record` has it, so that kernels run as plain Python too, see `tests/test_kernels.py`.
+    """
+    parts = [(name, np.float64, (n, LANES) if n > 1 else (LANES,)) for name, n in fields.items()]
+    return np.dtype((np.record, parts))
 
 
 CELL = _record(
