@@ -19,6 +19,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
+from lattice_gym.checks import refused
 from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.tasks.registry import resolve_task
 
@@ -48,7 +49,7 @@ class WormVecEnv(VecEnv):
     def __init__(self, envs: VectorEnv[Any, Any, Any]) -> None:
         bare = envs.unwrapped if isinstance(envs, VectorEnv) else None
         if not isinstance(bare, LatticeWormVectorEnv) or bare.spec is None:
-            raise ValueError(f"envs = {envs!r}: must be a LatticeWormVectorEnv that gymnasium.make_vec made")
+            raise refused("envs", envs, "must be a LatticeWormVectorEnv that gymnasium.make_vec made")
         if (mode := envs.metadata.get("autoreset_mode")) is not AutoresetMode.SAME_STEP:
             raise ValueError(f"envs: autoreset_mode must be AutoresetMode.SAME_STEP, got {mode}")
         self.envs: Any = envs
@@ -132,7 +133,7 @@ class WormVecEnv(VecEnv):
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Give an attribute of all worms this value."""
         if len(set(self._get_indices(indices))) < self.num_envs:
-            raise ValueError(f"indices = {indices!r}: must be None, as all worms share {attr_name}")
+            raise refused("indices", indices, f"must be None, as all worms share {attr_name}")
         setattr(self.envs.unwrapped, attr_name, value)
 
     def env_method(

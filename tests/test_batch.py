@@ -293,7 +293,7 @@ def test_bad_input() -> None:
         (([model, worm(n_pairs=6)], DT), r"models\[1\]: .* differs in the elements of its rods"),
         (([model, replace(model, joints=model.joints[1:])], DT), r"models\[1\]: .* differs in what its joints join"),
         (([model, replace(model, muscles=())], DT), r"models\[1\]: .* differs in its muscles"),
-        (([model], 0.0), "dt = 0.0: must be positive"),
+        (([model], 0.0), "dt = 0.0: must be a finite number above 0"),
         (([model], DT, "other"), "splitting = 'other': must be one of"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -306,13 +306,13 @@ def test_bad_input() -> None:
     batch = make_engine("fused", [model] * 2, DT, num_threads=1)
     n = model.n_muscle
     for tension in (np.zeros(n), np.zeros((3, n)), np.zeros((2, 3, n)), np.zeros((2, n + 1))):
-        with pytest.raises(ValueError, match=r"tension: shape must be \(2, \d+\) or \(2, 2, \d+\), got"):
+        with pytest.raises(ValueError, match=r"tension has shape .*: must have \(2, \d+\) or \(2, 2, \d+\)"):
             batch.advance(tension, 1)
-    with pytest.raises(ValueError, match="tension: must be finite and not negative"):
+    with pytest.raises(ValueError, match=r"tension\[0, 0\] = -1.0: must be a finite number, at least 0 \[N\]"):
         batch.advance(np.full((2, n), -1.0), 1)
     with pytest.raises(ValueError, match="n_substeps = 0: must be a whole number"):
         batch.advance(np.zeros((2, n)), 0)
     with pytest.raises(ValueError, match=r"model: must have the shape of the one before, but differs in its muscles"):
         batch.replace(0, replace(model, muscles=()))
-    with pytest.raises(ValueError, match=r"RodState\.position: must be finite"):
+    with pytest.raises(ValueError, match=r"RodState\.position\[0, 0\] = nan"):
         batch.restore(0, replace(model.rest_state(), position=np.full((model.n_node, 3), np.nan)))

@@ -170,7 +170,7 @@ def test_specs_survive_json() -> None:
     [
         (1.0, r"^randomise = 1.0: must be a mapping"),
         ({"mass": (1.0, 2.0)}, r"^randomise: there is no 'mass'; there are structure_youngs_modulus, "),
-        ({"damping": 1.0}, r"^randomise\['damping'\] = 1.0: must be a pair of factors from 0.01 to 100"),
+        ({"damping": 1.0}, r"^randomise\['damping'\] = 1.0: must be a sequence of 2 factors from 0.01 to 100"),
         ({"damping": (2.0, 1.0)}, r"^randomise\['damping'\]"),
         ({"damping": (0.0, 1.0)}, r"^randomise\['damping'\]"),
         ({"damping": (1.0, 101.0)}, r"^randomise\['damping'\]"),

@@ -18,6 +18,7 @@ NAMES = (*BODY, "max_tension", "strength")
 LEAST_FACTOR, MOST_FACTOR = 0.01, 100.0
 """Bounds of every factor."""
 _factor = partial(number, low=LEAST_FACTOR, high=MOST_FACTOR)
+_PAIR = f"factors from {LEAST_FACTOR:g} to {MOST_FACTOR:g}, the lower first"
 
 Factors = Mapping[str, float | FloatArray]
 """Factors of a worm by name; that of "strength" holds one for each muscle, shape (n_muscle,)."""
@@ -43,7 +44,7 @@ class Randomisation:
             return None
         ranges = {}
         for name, pair in names("randomise", given, NAMES, "pairs of factors").items():
-            low, high = items(f"randomise[{name!r}]", pair, _factor, 2, "factors, the lower first")
+            low, high = items(f"randomise[{name!r}]", pair, _factor, 2, _PAIR)
             if low > high:
                 raise refused(f"randomise[{name!r}]", pair, "must have the lower first")
             ranges[name] = (low, high)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout
-from lattice_gym.checks import FloatArray, IntArray, items, names, number, refused, require
+from lattice_gym.checks import FloatArray, IntArray, items, names, number, refused
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.elasticity import MAX_DILATATION
 from lattice_gym.physics.measures import base_frame
@@ -365,7 +365,8 @@ class Task(ABC):
             label, bounds = f"{argument}[{name!r}]", self.commands[name]
             several = isinstance(value, list | tuple)
             checked[name] = items(label, value, bounds.check) if several else (bounds.check(label, value),)
-            require(len(checked[name]) > 0, f"{label}: needs at least one number to draw from")
+            if not checked[name]:
+                raise refused(label, value, "must hold at least one number to draw from")
         drawn = {name: (bounds.low, bounds.high) for name, bounds in self.commands.items()}
         self.check_command(argument, drawn | self.among | checked)
         return checked
