@@ -14,6 +14,7 @@ import numpy as np
 from lattice_gym.checks import TURN, FloatArray, IntArray
 from lattice_gym.physics.laws.elasticity import MAX_DILATATION
 from lattice_gym.physics.measures import base_centre, ring_radii
+from lattice_gym.tasks.registry import TASKS
 
 if TYPE_CHECKING:
     from lattice_gym.envs.core import Worms
@@ -41,7 +42,7 @@ class ObservationTerm(ABC):
     """As in `LatticeWormEnv(observation=[...])`."""
     unit: ClassVar[str] = "1"
     """What its numbers are given in."""
-    stays_within: ClassVar[bool] = False
+    stays_within: bool = False
     """Whether its numbers can never leave their bounds; of any other term those that do are clipped and counted."""
     low: FloatArray
     """Least value of every number, shape (size,); of the class, or set by `__init__`, as `high` is."""
@@ -147,11 +148,12 @@ class Command(ObservationTerm):
     """What the task commands, see `LatticeWormEnv`."""
 
     name = "command"
-    stays_within = True
 
     def __init__(self, scene: Scene) -> None:
         if scene.goals_apart:
             raise ValueError('observation: "command" is observed apart, as "desired_goal"; leave it out')
+        # Tasks of the package clip what they tell themselves; that of any other task is checked.
+        self.stays_within = TASKS.get(scene.task.name) is scene.task
         self.high = np.array(scene.task.bounds, dtype=np.float64)
         self.low = -self.high
 
