@@ -138,10 +138,8 @@ def test_it_observes_a_term_of_its_own(folder: Path) -> None:
 def test_what_it_tells_of_its_command_is_checked(folder: Path) -> None:
     """Clipped and counted beyond its bounds; another shape is one clear error."""
     with (folder / "twist.py").open("a") as file:
-        file.write(
-            "\n\nclass Loud(Twist):\n    def observe(self, motion, time):\n        return 3.0 + super().observe(motion, 0)\n"
-        )
-        file.write("\n\nclass Wide(Twist):\n    def observe(self, motion, time):\n        return np.zeros((1, 2))\n")
+        for name, told in (("Loud", "3.0 + super().observe(motion, time)"), ("Wide", "np.zeros((1, 2))")):
+            file.write(f"\n\nclass {name}(Twist):\n    def observe(self, motion, time):\n        return {told}\n")
     env = gymnasium.make(ID, **SHORT | {"task": "twist:Loud"})
     worm: Any = env.unwrapped
     seen, _ = env.reset(seed=0)
