@@ -160,20 +160,20 @@ class TrainConfig(Settings):
             return resolve_task(self.task)
 
     @property
-    def driven(self) -> Control:
-        """What one action drives: as given, or the grouping with which the task can be learned fast."""
+    def resolved_control(self) -> Control:
+        """What one action drives: `control`, or by default what the task says."""
         driven: Control = self.control or self._hints()["control"]
         return driven
 
     @property
-    def discount(self) -> float:
-        """Discount of the reward: as given, or one that sees as far ahead as the task needs."""
+    def resolved_gamma(self) -> float:
+        """Discount of the reward: `gamma`, or by default what the task says."""
         discount: float = self._hints()["gamma"] if self.gamma is None else self.gamma
         return discount
 
     def resolved(self) -> TrainConfig:
         """Return the settings with what depends on the task filled in, as a run folder keeps them."""
-        return replace(self, control=self.driven, gamma=self.discount)
+        return replace(self, control=self.resolved_control, gamma=self.resolved_gamma)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON-safe values, without the places on this machine (design, run_dir, ...)."""

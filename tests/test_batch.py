@@ -24,7 +24,7 @@ from lattice_gym.engines.health import Status
 from lattice_gym.engines.registry import make_engine
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import RodModel
-from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.ground import Ground
@@ -35,7 +35,7 @@ from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 
-FIELDS = ("position", "velocity", "directors", "omega", "bolus_position", "bolus_velocity", "bolus_omega")
+FIELDS = ("position", "velocity", "directors", "omega", "ball_position", "ball_velocity", "ball_omega")
 DT = 1e-4
 SMALL = {"n_pairs": 3, "elements_per_segment": 3, "elements_per_muscle": 2}
 LYING = World(medium=Medium(drag=0.1), ground=Ground(), lying=True)
@@ -74,8 +74,8 @@ def assert_as_alone(batch: Engine, engines: list[Simulation], tension: FloatArra
         np.testing.assert_array_equal(batch.position[k], shown[0])
         np.testing.assert_array_equal(batch.velocity[k], shown[1])
         if health.ok:
-            np.testing.assert_array_equal(batch.bolus_position[k], state.bolus_position)
-            np.testing.assert_array_equal(batch.bolus_velocity[k], state.bolus_velocity)
+            np.testing.assert_array_equal(batch.ball_position[k], state.ball_position)
+            np.testing.assert_array_equal(batch.ball_velocity[k], state.ball_velocity)
     return [health.status for health in healths]
 
 
@@ -87,7 +87,7 @@ SCENES: dict[str, tuple[RodModel, Splitting]] = {
     "hill": (worm(hill=Hill()), "symmetric"),
     "lines": (worm(muscle_model="line", joint_damping=0.01), "symmetric"),
     "contact": (worm(World(contact=Contact(stiffness=10.0))), "symmetric"),
-    "bolus": (worm(World(medium=Medium(), bolus=Bolus())), "symmetric"),
+    "ball": (worm(World(medium=Medium(), ball=Ball())), "symmetric"),
 }
 
 
@@ -106,7 +106,7 @@ def test_worms_side_by_side_move_as_alone(name: str) -> None:
     assert (apart > 0.0).all()
     assert isinstance(batch, FusedEngine)
     # What cannot share a pack has one of its own.
-    assert (len(batch.packs) == len(models)) == (name in ("by direction", "contact", "bolus"))
+    assert (len(batch.packs) == len(models)) == (name in ("by direction", "contact", "ball"))
     batch.close()
 
 

@@ -104,7 +104,7 @@ def test_the_ground_takes_what_motion_loses(case: Case, engine_name: EngineName)
 
 @pytest.mark.parametrize(("kind", "most"), [("rod", 1e-2), ("line", 2e-2)])
 def test_a_worm_on_the_ground_keeps_its_books(kind: str, most: float) -> None:
-    """What random muscles put in is stored or dissipated; the law leaves up to `most`, as in the air."""
+    """What random muscles put in is stored or dissipated; the law leaves up to `peak_element`, as in the air."""
     lattice = build_lattice(LatticeDesign(**SMALL, base="free", damping=1e-3, muscle_model=cast(Any, kind)))
     world = World(medium=Medium(drag=0.1), ground=Ground(static_friction=0.8, forward=0.5), lying=True)
     model = build_model(lattice, named_layout("all", lattice), world)
@@ -180,8 +180,8 @@ def _order(left: FloatArray) -> float:
 def test_the_ledger_balances(muscles: str, most: float) -> None:
     """Every part comes in; halving the step shrinks what it adds to the residual, down to what the law itself leaves.
 
-    PyElastica's damping and the dashpots move the motion itself to first order, and what the law leaves with it. `most`
-    is the residual at the finest step, a tenth to spare.
+    PyElastica's damping and the dashpots move the motion itself to first order, and what the law leaves with it.
+    `peak_element` is the residual at the finest step, a tenth to spare.
     """
     books = [_books(_assembly(muscles), splitting) for splitting in get_args(Splitting)]
     for (parts, left), least in zip(books, (0.95, 1.9), strict=True):
@@ -197,7 +197,8 @@ def test_the_ledger_balances(muscles: str, most: float) -> None:
 def test_the_ledger_shows_the_order_of_the_splitting(muscles: str, most: float) -> None:
     """Without dashpots, halving the step quarters the residual's excess of a symmetric step.
 
-    PyElastica's step differs from that by an amount that halves. `most` is what the law leaves, a tenth to spare.
+    PyElastica's step differs from that by an amount that halves. `peak_element` is what the law leaves, a tenth to
+    spare.
     """
     model = _assembly(muscles, smooth=True)
     (_, explicit), (parts, symmetric) = _books(model, "pyelastica"), _books(model, "symmetric")
@@ -306,16 +307,16 @@ def test_the_place_is_where_the_energy_is() -> None:
     velocity = rest.velocity.copy()
     velocity[6] = 1.0
     state = replace(rest, velocity=velocity, position=rest.position + np.where(np.arange(8) == 7, 0.3, 0.0)[:, None])
-    assert meter.most(meter.stored(state)) == (1, 2)
+    assert meter.peak_element(meter.stored(state)) == (1, 2)
 
 
 def test_rest_is_no_alarm() -> None:
-    """Rounding at rest is no energy from nowhere, whatever its share of next to nothing."""
+    """Rounding at rest is no spurious energy, whatever its share of next to nothing."""
     model = RodModel(rods=(straight_rod((0, 0, 0), (0, 0, 1), 3, **ROD),))
     meter = EnergyMeter(model)
     rest = meter.stored(model.rest_state())
     nudge = meter.stored(_moved(model.rest_state(), 1e-9 * np.eye(4, 3)))
-    entry = ledger(rest, nudge, Flow(), meter.least)
+    entry = ledger(rest, nudge, Flow(), meter.negligible)
     assert -ENERGY_TOLERANCE * entry.scale < entry.residual < 0.0
 
 

@@ -16,7 +16,7 @@ from lattice_gym.body.muscles import MuscleLayout, control_groups, named_layout,
 from lattice_gym.tasks.axial import AxialTask
 from lattice_gym.tasks.bending import bending_gait
 from lattice_gym.tasks.crawl import crawling_gait
-from lattice_gym.tasks.gait import LEAD, Gait, grouped
+from lattice_gym.tasks.gait import LEAD, Gait, group_means
 from lattice_gym.tasks.peristalsis import FULL_DRIVE_AMPLITUDE, peristalsis_gait
 from lattice_gym.tasks.registry import TASKS, gait
 from lattice_gym.tasks.transport import carrying_gait
@@ -98,7 +98,7 @@ def test_grouped(control: str) -> None:
     """Means of groups; a wave along the body is alike within a ring, so nothing is lost."""
     groups = control_groups(control, ALL, LATTICE)
     command = gait("peristalsis", LATTICE, ALL, WAVE)(0.3)
-    action = grouped(command, groups)
+    action = group_means(command, groups)
     assert action.shape == (groups.max() + 1,)
     assert action[3] == pytest.approx(command[groups == 3].mean())
     if control != "column":
@@ -176,4 +176,4 @@ def test_a_task_without_a_gait() -> None:
 def test_grouped_needs_one_command_a_muscle() -> None:
     """Shapes must agree."""
     with pytest.raises(ValueError, match=r"^command has shape \(3,\)"):
-        grouped(np.zeros(3), np.zeros(4, dtype=np.int64))
+        group_means(np.zeros(3), np.zeros(4, dtype=np.int64))

@@ -17,7 +17,7 @@ from lattice_gym.engines.fused.engine import FusedEngine
 from lattice_gym.engines.fused.kernels import compiling
 from lattice_gym.engines.pyelastica.engine import PyElasticaEngine
 from lattice_gym.physics.assembly import Clamp, RodModel
-from lattice_gym.physics.laws.ball import Ball
+from lattice_gym.physics.laws.ball import RigidBall
 from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.ground import Ground
@@ -50,7 +50,7 @@ def all_laws() -> RodModel:
         torques=(PointTorque(0, 1, (0.0, 1.0, 20.0)),),
         muscles=(2,),
         lines=(Line(0, 1, 3, 2, 0.3, 100.0, mass=2.0, damping=0.1),),
-        bolus=Ball(
+        ball=RigidBall(
             position=np.array([0.5, 0.0, 1.149]),
             radius=0.1,
             mass=1.0,
@@ -88,7 +88,7 @@ def run_all_laws() -> None:
         engine.restore(0, state)
         assert engine.advance(ramp, n_step).tolist() == [0]
     a, b = engines[0].state(), reference.state()
-    for field in ("position", "velocity", "directors", "omega", "bolus_position", "bolus_velocity", "bolus_omega"):
+    for field in ("position", "velocity", "directors", "omega", "ball_position", "ball_velocity", "ball_omega"):
         mine, other = getattr(a, field), getattr(b, field)
         assert np.abs(mine - other).max() < 1e-12 * np.abs(other).max(), field
     for engine in engines:
@@ -96,7 +96,7 @@ def run_all_laws() -> None:
         assert scene.contact is not None
         assert scene.ball is not None
         assert scene.account is not None
-        assert scene.contact.used[0] > 0
+        assert scene.contact.n_listed[0] > 0
         assert scene.ball.load[2] > 0.0
         assert (scene.account.ground_reaction != 0.0).any()
         assert (scene.account.total != 0.0).all()

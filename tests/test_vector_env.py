@@ -25,7 +25,7 @@ from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.goal import LatticeWormGoalVectorEnv
 from lattice_gym.envs.scene import Scene
 from lattice_gym.envs.vector import LatticeWormVectorEnv
-from lattice_gym.tasks.base import LEAST_PENALTY
+from lattice_gym.tasks.base import MIN_PENALTY
 from lattice_gym.tasks.registry import TASKS
 
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
@@ -185,7 +185,7 @@ def test_a_worm_that_diverges_ends_alone(task: str, mode: AutoresetMode) -> None
     status = [str(info["status"][1]) for info in told]
     failed = next(k for k, line in enumerate(status) if line != "ok")
     assert re.fullmatch(r"(non_finite|overstretched|inverted) \(rod \d+, element \d+\)", status[failed])
-    assert told[failed]["reward_terms"]["divergence"][1] == -LEAST_PENALTY
+    assert told[failed]["reward_terms"]["divergence"][1] == -MIN_PENALTY
     if mode is AutoresetMode.NEXT_STEP:
         native.reset(seed=1)
         for action in pull:
@@ -205,13 +205,13 @@ def test_a_worm_that_does_not_step_earns_nothing() -> None:
     worms.restore(torn, 1)
     pull = np.full((3, scene.n_group), 0.5)
     first, _ = worms.step(pull), alone.step(pull[:1])
-    assert first.over.tolist() == worms.failed.tolist() == [False, True, False]
+    assert first.terminated.tolist() == worms.failed.tolist() == [False, True, False]
     assert first.reward[1] == -worms.task.penalty
     live, before = np.array([True, False, False]), worms.time
     for _ in range(2):
         result, expected = worms.step(pull, live), alone.step(pull[:1])
         assert result.reward.tolist() == [expected.reward[0], 0.0, 0.0]
-        assert not result.over.any()
+        assert not result.terminated.any()
     np.testing.assert_array_equal(worms.time[1:], before[1:])
     np.testing.assert_array_equal(worms.observe()[0][0], alone.observe()[0][0])
     assert worms.failed.tolist() == [False, True, False]

@@ -61,7 +61,7 @@ class WorkPrecision:
 
 @dataclass(frozen=True, kw_only=True)
 class Stability(Parameters):
-    """The predicted stable step against the measured one."""
+    """The predicted critical step against the measured one."""
 
     quick: bool = False
     """Fewer cases: less than a minute."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from lattice_gym.checks import REQUIRED, FloatArray, IntArray, Parameters, checked, count, number, real, require
-from lattice_gym.physics.laws.base import Generalised, Law, Linearised, Shortened, Ties, tuple_of
+from lattice_gym.physics.laws.base import Generalised, Law, Linearised, PairSprings, Shortened, tuple_of
 from lattice_gym.physics.laws.elasticity import path_share
 from lattice_gym.physics.rod import FRAME_TOLERANCE
 
@@ -50,7 +50,7 @@ class Line(Parameters):
     damping: float = real(0.0, 0.0, math.inf, "N s/m")
     """[N s/m]"""
     density: float = checked(math.inf, _density)
-    """What its mass has for a volume [kg/m^3]: a medium carries nothing of an infinitely dense one."""
+    """[kg/m^3]; an infinite density has no volume, and so no buoyancy."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -107,7 +107,7 @@ class LineLaw(Law):
         stretch = self._stiffness / (self._rest * shortened.line**2)
         across = shortened.peak / (self._rest * shortened.line)
         matrix = stretch[:, None, None] * along + across[:, None, None] * (np.eye(3) - along)
-        return Linearised([Ties(first, second, matrix)])
+        return Linearised([PairSprings(first, second, matrix)])
 
     def force(self, state: RodState, tension: FloatArray) -> Generalised:
         """Pull the ends of every line together."""

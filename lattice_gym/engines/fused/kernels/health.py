@@ -14,7 +14,7 @@ from lattice_gym.engines.fused.kernels.layout import LANES, Cells
 from lattice_gym.engines.fused.kernels.lines import Lines
 
 
-class Worms(NamedTuple):
+class WormTable(NamedTuple):
     """Whose records are whose: record and lane of every node and element of each worm, and how it ended a call.
 
     Shapes (n_worm, n_node) and (n_worm, n_elem). `max_gap` is the gap beyond which each joint counts as torn [m], shape
@@ -38,7 +38,7 @@ class Worms(NamedTuple):
 
 
 @compiled_strictly
-def is_sound(cells: Cells, blocks: IntArray, worms: Worms) -> bool:
+def is_sound(cells: Cells, blocks: IntArray, worms: WormTable) -> bool:
     """Tell whether `inspect` would find no element of some blocks at fault, all lanes at once."""
     min_dilatation, max_dilatation = worms.min_dilatation, worms.max_dilatation
     faults = 0
@@ -64,7 +64,7 @@ def is_sound(cells: Cells, blocks: IntArray, worms: Worms) -> bool:
 @compiled_strictly
 def inspect(
     cells: Cells,
-    worms: Worms,
+    worms: WormTable,
     worm: int,
     sound: bool,
     joints: Joints,
@@ -124,7 +124,7 @@ def inspect(
             if not np.isfinite(ball.position[i] + ball.velocity[i] + ball.omega[i]):
                 return 1, -1
         for i in range(3):
-            ball.shown[0][i], ball.shown[1][i] = ball.position[i], ball.velocity[i]
+            ball.output[0][i], ball.output[1][i] = ball.position[i], ball.velocity[i]
     row = worms.row[worm]
     for n in range(worms.node_cell.shape[1]):
         here, j = cells[worms.node_cell[worm, n]], worms.node_lane[worm, n]
