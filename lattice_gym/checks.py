@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Set
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields
-from functools import partial
+from functools import cache, partial
 from math import inf
 from numbers import Real
 from pkgutil import resolve_name
@@ -219,10 +219,8 @@ class Parameters:
 
     def __post_init__(self) -> None:
         """Check every field that declares how; a subclass goes on with what must hold between them."""
-        for item in fields(self):
-            if "check" in item.metadata:
-                value = item.metadata["check"](self._label(item.name), getattr(self, item.name))
-                object.__setattr__(self, item.name, value)
+        for name, label, check in _checks(type(self)):  # type: ignore[arg-type]
+            object.__setattr__(self, name, check(label, getattr(self, name)))
 
     @classmethod
     def _label(cls, name: str) -> str:
@@ -248,6 +246,13 @@ class Parameters:
         if isinstance(given, Mapping):
             return cls.from_dict(given)
         return instance(name, given, cls, ", its dict form or None")
+
+
+@cache
+def _checks(kind: type[Parameters]) -> list[tuple[str, str, Callable[[str, Any], Any]]]:
+    """Name, label in messages and check of every field that declares how it is checked."""
+    declared = (item for item in fields(kind) if "check" in item.metadata)
+    return [(item.name, kind._label(item.name), item.metadata["check"]) for item in declared]
 
 
 def _plain(value: Any) -> Any:

@@ -313,7 +313,7 @@ def test_environment_from_a_file(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("[1]", r"must hold a JSON object"),
-        ('{"wrold": {}}', r"wrold: unknown argument; known are adaptation, .*, world$"),
+        ('{"wrold": {}}', r"wrold: unknown argument; known are activation, .*, world$"),
         ('{"control_dt": 0.1}', r"control_dt: must be given by its own option, --control-dt$"),
         ("{", r"damaged"),
     ],
@@ -807,7 +807,7 @@ def test_benchmark_report(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"repeats": 0}, "repeats = 0: must be 1 or more"),
+        ({"repeats": 0}, "repeats = 0: must be a whole number, at least 1"),
         ({"worms": ()}, "worms = .*: must name at least one"),
         ({"throughput": True, "worms": (1, 8)}, "batch_size = 256: must divide n_envs"),
     ],

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -297,9 +297,7 @@ class RodModel:
         muscles, model = set(self.muscles), copy(self)
         stiffness = [muscle if index in muscles else structure for index in range(self.n_rod)]
         rods = tuple(rod.scaled(factor, damping) for rod, factor in zip(self.rods, stiffness, strict=True))
-        lines = tuple(
-            replace(line, stiffness=muscle * line.stiffness, damping=damping * line.damping) for line in self.lines
-        )
+        lines = tuple(line.scaled(muscle, damping) for line in self.lines)
         for cached in ("node_damping", "laws"):
             vars(model).pop(cached, None)
         vars(model).update(rods=rods, lines=lines)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
@@ -56,6 +57,12 @@ class Line(Parameters):
         super().__post_init__()
         if not math.isfinite(self.stiffness / self.rest_length):
             raise self._refused("rest_length", "far too short for its stiffness [m]")
+
+    def scaled(self, stiffness: float, damping: float) -> Line:
+        """Return the line with factors on its stiffness and damping, which is not checked again."""
+        line = copy(self)
+        vars(line).update(stiffness=stiffness * self.stiffness, damping=damping * self.damping)
+        return line
 
 
 class LineLaw(Law):
