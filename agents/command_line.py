@@ -1,4 +1,4 @@
-"""What the command lines share: options, signals, and ends with a line of text in place of a traceback."""
+"""What the command lines share: options, signals, and errors as one line of text in place of a traceback."""
 
 from __future__ import annotations
 

@@ -105,25 +105,25 @@ class TrainConfig(Settings):
     """Samples in a gradient step [control steps]; divides n_envs * n_steps."""
     n_epochs: int = count(10, 1)
     """Passes over the samples at an update."""
-    learning_rate: float = real(1e-3, 0.0, 1.0, "1", above=True)
+    learning_rate: float = real(1e-3, 0.0, 1.0, "", above=True)
     """Step size of Adam."""
     anneal: bool = checked(True, flag)
     """Let the step size fall linearly over total_steps, to that share which the last rollout is of them."""
-    gamma: float | None = real(None, 0.0, 1.0, "1", above=True, none=True)
+    gamma: float | None = real(None, 0.0, 1.0, "", above=True, none=True)
     """Discount of the reward, each control step; by default what the task says."""
-    gae_lambda: float = real(0.95, 0.0, 1.0, "1")
+    gae_lambda: float = real(0.95, 0.0, 1.0, "")
     """Decay of the generalised advantage estimate, each control step."""
-    clip_range: float = real(0.2, 0.0, 1.0, "1", above=True)
+    clip_range: float = real(0.2, 0.0, 1.0, "", above=True)
     """Largest change of an action's probability ratio at an update."""
-    entropy_coefficient: float = real(0.0, 0.0, inf, "1")
+    entropy_coefficient: float = real(0.0, 0.0, inf, "")
     """Weight of the entropy bonus in the loss."""
-    value_coefficient: float = real(0.5, 0.0, inf, "1")
+    value_coefficient: float = real(0.5, 0.0, inf, "")
     """Weight of the value error in the loss."""
-    max_gradient_norm: float = real(0.5, 0.0, inf, "1", above=True)
+    max_gradient_norm: float = real(0.5, 0.0, inf, "", above=True)
     """Gradients longer than this are shortened to it."""
     hidden_sizes: tuple[int, ...] = checked((64, 64), items, each=partial(whole, low=1, high=65536), what="widths")
     """Widths of the hidden layers of policy and value function [units]."""
-    log_std_init: float = real(-1.0, -10.0, 2.0, "1")
+    log_std_init: float = real(-1.0, -10.0, 2.0, "")
     """Natural logarithm of the first standard deviation of the actions, which span [-1, 1]."""
     gsde: bool = checked(False, flag)
     """Explore with noise that depends on the state (gSDE) instead of white noise."""
@@ -160,20 +160,20 @@ class TrainConfig(Settings):
             return resolve_task(self.task)
 
     @property
-    def driven(self) -> Control:
-        """What one action drives: as given, or the grouping with which the task can be learned fast."""
+    def resolved_control(self) -> Control:
+        """What one action drives: `control`, or by default what the task says."""
         driven: Control = self.control or self._hints()["control"]
         return driven
 
     @property
-    def discount(self) -> float:
-        """Discount of the reward: as given, or one that sees as far ahead as the task needs."""
+    def resolved_gamma(self) -> float:
+        """Discount of the reward: `gamma`, or by default what the task says."""
         discount: float = self._hints()["gamma"] if self.gamma is None else self.gamma
         return discount
 
     def resolved(self) -> TrainConfig:
         """Return the settings with what depends on the task filled in, as a run folder keeps them."""
-        return replace(self, control=self.driven, gamma=self.discount)
+        return replace(self, control=self.resolved_control, gamma=self.resolved_gamma)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON-safe values, without the places on this machine (design, run_dir, ...)."""

@@ -48,7 +48,7 @@ def demo(
     print(format_scores(scores), flush=True)
     if video:
         print("\nfilming ...", flush=True)
-        for title, file in export(path).written().items():
+        for title, file in export(path).paths().items():
             print(f"{title:16}{file}")
     print(f"{'scores':16}{path / run_folder.EVALUATION}\n{'TensorBoard':16}{path / run_folder.TENSORBOARD}")
     print(f"\n{verdict(scores, Run.open(path).steps)} ({time.monotonic() - began:.0f} s)")

@@ -18,8 +18,8 @@ from lattice_gym.sb3 import WormVecEnv
 Env = gymnasium.Env[Any, Any]
 
 
-class Judged(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Adds `outcome_errors`, the outcome by what was commanded, to the info of every step; see `Task.errors`."""
+class OutcomeErrors(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Adds `outcome_errors`, the outcome relative to the command, to the info of every step; see `Task.errors`."""
 
     def step(self, action: npt.NDArray[Any]) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Take a step of the worm."""
@@ -33,7 +33,7 @@ def make_env(arguments: Mapping[str, Any]) -> Env:
     """Environment with actions in [-1, 1] and `outcome_errors` in info; raises InputError if it cannot be built."""
     with input_errors():
         env = gymnasium.make(**arguments)
-    return Judged(RescaleAction(env, np.float32(-1.0), np.float32(1.0)))
+    return OutcomeErrors(RescaleAction(env, np.float32(-1.0), np.float32(1.0)))
 
 
 def make_vector_env(arguments: Mapping[str, Any], n_envs: int, num_threads: int | None = None) -> VecEnv:

@@ -21,10 +21,10 @@ from agents.command_line import run as run_program
 from agents.config import InputError, input_errors
 from agents.environments import Env, make_env
 from agents.run_folder import Run
-from agents.training import gathered, load_model, load_normaliser, worm_seeds
+from agents.training import gather, load_model, load_normaliser, worm_seeds
 from lattice_gym.checks import choice, whole
 from lattice_gym.envs.fidelity import FidelityName
-from lattice_gym.tasks.gait import grouped
+from lattice_gym.tasks.gait import group_means
 from lattice_gym.tasks.registry import gait, has_gait
 
 PolicyName = Literal["policy", "gait", "nothing", "random"]
@@ -39,9 +39,9 @@ EVALUATION_SEED = 1_000_000
 """Seed of the first episode unless given: far above those that training usually starts from."""
 
 Action = npt.NDArray[np.float32]
-Act = Callable[[Any], Action]
+Policy = Callable[[Any], Action]
 """Observation -> action in [-1, 1]."""
-Start = Callable[[Env, int], Act]
+PolicyMaker = Callable[[Env, int], Policy]
 """(environment just reset, seed of the episode) -> what acts in this episode."""
 
 
@@ -85,7 +85,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Episode:
-    """What one episode came to; `command` holds only those of the commanded numbers that are drawn from a few."""
+    """Result of one episode; `command` holds only the commanded numbers that are drawn from a list."""
 
     command: Mapping[str, float]
     gain: float
@@ -93,7 +93,7 @@ class Episode:
     diverged: bool
 
 
-def make_policy(name: PolicyName, run: Run, env: Env) -> Start:
+def make_policy(name: PolicyName, run: Run, env: Env) -> PolicyMaker:
     """Policy by its name; raises InputError if the run's model cannot be read or the name is unknown."""
     if name == "policy":
         return trained_policy(run.newest, env)
@@ -104,7 +104,7 @@ def make_policy(name: PolicyName, run: Run, env: Env) -> Start:
     return BASELINES[name]
 
 
-def trained_policy(checkpoint: Path, env: Env) -> Start:
+def trained_policy(checkpoint: Path, env: Env) -> PolicyMaker:
     """Let a checkpoint's model act, without exploration and with its normalisation frozen."""
     normaliser = load_normaliser(checkpoint / run_folder.NORMALISATION, DummyVecEnv([lambda: env]))
     normaliser.training = False
@@ -116,34 +116,34 @@ def trained_policy(checkpoint: Path, env: Env) -> Start:
     return lambda _env, _seed: act
 
 
-def do_nothing(env: Env, _seed: int) -> Act:
+def do_nothing(env: Env, _seed: int) -> Policy:
     """Every muscle off."""
     action = np.full(env.action_space.shape or (), -1.0, dtype=np.float32)
     return lambda _observation: action
 
 
-def random_actions(env: Env, seed: int) -> Act:
+def random_actions(env: Env, seed: int) -> Policy:
     """Every action uniform and independent, also of what the environment draws from the same seed."""
     generator = np.random.default_rng([seed, 1])
     shape = env.action_space.shape
     return lambda _observation: generator.uniform(-1.0, 1.0, shape).astype(np.float32)
 
 
-def hand_made_gait(env: Env, _seed: int) -> Act:
+def hand_made_gait(env: Env, _seed: int) -> Policy:
     """Play the task's open-loop gait; muscles that share an action get the mean over them."""
     worm: Any = env.unwrapped
     activation = gait(type(worm.task), worm.lattice, worm.layout, worm.task.command)
 
     def act(_observation: Any) -> Action:
-        return (2.0 * grouped(activation(worm.time), worm.groups) - 1.0).astype(np.float32)
+        return (2.0 * group_means(activation(worm.time), worm.groups) - 1.0).astype(np.float32)
 
     return act
 
 
-BASELINES: dict[PolicyName, Start] = {"gait": hand_made_gait, "nothing": do_nothing, "random": random_actions}
+BASELINES: dict[PolicyName, PolicyMaker] = {"gait": hand_made_gait, "nothing": do_nothing, "random": random_actions}
 
 
-def play(env: Env, start: Start, seed: int) -> Iterator[Step]:
+def play(env: Env, start: PolicyMaker, seed: int) -> Iterator[Step]:
     """One seeded episode: its start, then step by step."""
     observation, info = env.reset(seed=seed)
     act = start(env, seed)
@@ -155,9 +155,9 @@ def play(env: Env, start: Start, seed: int) -> Iterator[Step]:
         yield Step(float(reward), info)
 
 
-def score(env: Env, start: Start, seeds: range, progress: Callable[[str], object] = lambda _line: None) -> Score:
+def score(env: Env, start: PolicyMaker, seeds: range, progress: Callable[[str], object] = lambda _line: None) -> Score:
     """Play one episode a seed; `progress` is called with a line of text at every step."""
-    few = cast(Any, env.unwrapped).task.among
+    few = cast(Any, env.unwrapped).task.choices
     episodes: list[Episode] = []
     for seed in seeds:
         steps: list[Step] = []
@@ -173,7 +173,7 @@ def score(env: Env, start: Start, seeds: range, progress: Callable[[str], object
 
 def summary(episodes: Sequence[Episode]) -> Score:
     """Score of the episodes, and of those of each command if there are several."""
-    table = gathered([episode.outcome for episode in episodes])
+    table = gather([episode.outcome for episode in episodes])
     commands = sorted({tuple(episode.command.items()) for episode in episodes})
     by_command: dict[str, Score] = {}
     for command in commands if len(commands) > 1 else ():

@@ -39,7 +39,7 @@ class Artefacts:
     learning_curve: Path
     gif: Path | None = None
 
-    def written(self) -> dict[str, Path]:
+    def paths(self) -> dict[str, Path]:
         """Files that were asked for, by title."""
         return {name.replace("_", " "): path for name, path in vars(self).items() if path is not None}
 
@@ -62,7 +62,7 @@ def record(run: Run, policy: PolicyName = "policy", seed: int = EVALUATION_SEED)
         parts = (f"return {total:.2f}", worm.task.caption(worm.state), "" if status == OK else status)
         line = "   ".join(part for part in parts if part)
         state = worm.state
-        recorder.append(worm.time, state.position, worm.activation, step.reward, line, state.bolus_position)
+        recorder.append(worm.time, state.position, worm.activation, step.reward, line, state.ball_position)
     env.close()
     return recorder.build(worm.task.markers(0))
 
@@ -112,7 +112,7 @@ def span(trajectory: Trajectory, gif: tuple[float, float]) -> Trajectory:
         trajectory,
         time=time[shown],
         position=trajectory.position[shown],
-        bolus=None if trajectory.bolus is None else trajectory.bolus[shown],
+        ball=None if trajectory.ball is None else trajectory.ball[shown],
         activation=trajectory.activation[shown],
         reward=trajectory.reward[shown],
         outcome=tuple(trajectory.outcome[frame] for frame in np.flatnonzero(shown)),
@@ -133,19 +133,19 @@ def plot_learning_curve(run: Run, path: Path, fidelity: FidelityName | None = No
         steps, low, high, color="tab:blue", alpha=0.2, linewidth=0.0, label="± standard deviation over episodes"
     )
     for (name, level), colour in zip(
-        evaluated(run, fidelity).items(), ("black", "tab:green", "tab:gray", "tab:orange"), strict=False
+        evaluated_returns(run, fidelity).items(), ("black", "tab:green", "tab:gray", "tab:orange"), strict=False
     ):
         axes.axhline(level, color=colour, linestyle="--", linewidth=1.0, label=name)
     axes.set_xlabel("environment steps")
     axes.set_ylabel("return of an episode")
-    axes.set_title(f"{run.config.task}, control by {run.config.driven}, seed {run.config.seed}")
+    axes.set_title(f"{run.config.task}, control by {run.config.resolved_control}, seed {run.config.seed}")
     axes.legend(loc="best", fontsize="small")
     axes.grid(alpha=0.3)
     with replacing(path) as partial:
         figure.savefig(partial, dpi=150)
 
 
-def evaluated(run: Run, fidelity: FidelityName | None = None) -> dict[str, float]:
+def evaluated_returns(run: Run, fidelity: FidelityName | None = None) -> dict[str, float]:
     """Mean return of every evaluated policy, the trained one only as its newest checkpoint; nothing before that.
 
     The names tell a fidelity other than that of training.
@@ -189,7 +189,7 @@ def main(
     fidelity
         How finely the worm is computed; as in training by default.
     """
-    for title, path in export(run, policy, seed, gif, fidelity).written().items():
+    for title, path in export(run, policy, seed, gif, fidelity).paths().items():
         print(f"{title:16}{path}")
 
 

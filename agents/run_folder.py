@@ -130,7 +130,7 @@ def env_arguments(
         "max_episode_steps": config.task_class.time_limit,
         "design": design.to_dict(),
         "muscles": muscles.to_dict() if isinstance(muscles, MuscleLayout) else muscles,
-        "control": config.driven,
+        "control": config.resolved_control,
         "rhythm": config.rhythm,
         "engine": config.engine,
         "control_dt": config.control_dt,

@@ -49,7 +49,7 @@ def train(config: TrainConfig) -> Path:
         return run.path
     print(done, flush=True)
     try:
-        log = _learned(run, config, began)
+        log = _run_training(run, config, began)
         if log.signal is not None:
             raise Stopped(log.signal)
     except Stopped as stopped:
@@ -59,7 +59,7 @@ def train(config: TrainConfig) -> Path:
     return run.path
 
 
-def _learned(run: Run, config: TrainConfig, began: float) -> TrainingLog:
+def _run_training(run: Run, config: TrainConfig, began: float) -> TrainingLog:
     """Log of the run after training; its last checkpoint is written."""
     print(f"starting {config.n_envs} worm{'s' if config.n_envs > 1 else ''}", flush=True)
     venv = make_vector_env(run.env_arguments, config.n_envs, config.num_threads)
@@ -145,12 +145,12 @@ def new_model(config: TrainConfig, venv: VecEnv) -> PPO:
     """Untrained PPO on worms whose observations and rewards are normalised."""
     return PPO(
         "MlpPolicy",
-        VecNormalize(venv, gamma=config.discount),
+        VecNormalize(venv, gamma=config.resolved_gamma),
         learning_rate=step_size(config),
         n_steps=config.n_steps,
         batch_size=config.batch_size,
         n_epochs=config.n_epochs,
-        gamma=config.discount,
+        gamma=config.resolved_gamma,
         gae_lambda=config.gae_lambda,
         clip_range=config.clip_range,
         ent_coef=config.entropy_coefficient,
@@ -272,7 +272,7 @@ class TrainingLog(BaseCallback):
         if returns:
             self.logger.record("worm/return_mean", float(np.mean(returns)))
             self.logger.record("worm/return_std", float(np.std(returns)))
-            for name, values in gathered([info["outcome_errors"] for info in self._finished]).items():
+            for name, values in gather([info["outcome_errors"] for info in self._finished]).items():
                 self.logger.record(f"worm/outcome_{name}", float(np.mean(values)))
         self.logger.record(_DIVERGED, self._diverged)
         self._finished.clear()
@@ -291,7 +291,7 @@ class TrainingLog(BaseCallback):
         self._bar.close()
 
 
-def gathered(outcomes: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
+def gather(outcomes: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
     """Values of every name over the outcomes that have it."""
     names = dict.fromkeys(name for outcome in outcomes for name in outcome)
     return {name: [outcome[name] for outcome in outcomes if name in outcome] for name in names}

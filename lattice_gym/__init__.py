@@ -25,19 +25,19 @@ from lattice_gym.envs.registration import register_builtin_tasks, register_task
 from lattice_gym.envs.terms import ObservationTerm
 from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.physics.laws.adaptation import Adaptation
-from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
 from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.world import World
 from lattice_gym.tasks.base import Command, GoalTask, RewardTerm, Task
-from lattice_gym.tasks.gait import Gait, grouped
+from lattice_gym.tasks.gait import Gait, group_means
 from lattice_gym.tasks.registry import design_for, gait
 
 __all__ = [
     "Adaptation",
-    "Bolus",
+    "Ball",
     "Command",
     "Contact",
     "Gait",
@@ -61,7 +61,7 @@ __all__ = [
     "design_for",
     "diagonal",
     "gait",
-    "grouped",
+    "group_means",
     "horizontal",
     "named_layout",
     "register_task",

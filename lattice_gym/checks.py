@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Set
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields
-from functools import partial
+from functools import cache, partial
 from math import inf
 from numbers import Real
 from pkgutil import resolve_name
@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-TURN = 2.0 * math.pi
+TAU = 2.0 * math.pi
 
 T = TypeVar("T")
 Text = TypeVar("Text", bound=str)
@@ -30,18 +30,18 @@ Text = TypeVar("Text", bound=str)
 
 def wrap_angle(angle: FloatArray) -> FloatArray:
     """Angles brought into [-pi, pi) [rad]."""
-    return (angle + math.pi) % TURN - math.pi
+    return (angle + math.pi) % TAU - math.pi
 
 
-def shown(value: object) -> str:
+def brief(value: object) -> str:
     """Repr of a value for a message, cut where it is long."""
     text = repr(value)
     return text if len(text) <= 200 else text[:200] + "..."
 
 
-def refused(name: str, value: object, must: str) -> ValueError:
+def invalid_value(name: str, value: object, must: str) -> ValueError:
     """Return the error to raise for a value: must says what it must be."""
-    return ValueError(f"{name} = {shown(value)}: {must}")
+    return ValueError(f"{name} = {brief(value)}: {must}")
 
 
 def require(condition: bool, message: str) -> None:
@@ -57,7 +57,7 @@ def number(
     given = _real(value)
     if math.isfinite(given) and (low < given if above else low <= given) and given <= high:
         return given
-    raise refused(name, value, _must_be("number", low, high, unit, above))
+    raise invalid_value(name, value, _must_be("number", low, high, unit, above))
 
 
 def whole(name: str, value: object, low: float = -inf, high: float = inf) -> int:
@@ -65,7 +65,7 @@ def whole(name: str, value: object, low: float = -inf, high: float = inf) -> int
     given = value if isinstance(value, int | np.integer) and not isinstance(value, bool) else _real(value)
     if (not isinstance(given, float) or given.is_integer()) and low <= (exact := int(given)) <= high:
         return exact
-    raise refused(name, value, _must_be("whole number", low, high))
+    raise invalid_value(name, value, _must_be("whole number", low, high))
 
 
 def choice(name: str, value: object, choices: Iterable[Text], *others: str) -> Text:
@@ -74,21 +74,21 @@ def choice(name: str, value: object, choices: Iterable[Text], *others: str) -> T
     for text in known:
         if isinstance(value, str) and value == text:
             return text
-    raise refused(name, value, f"must be one of {', '.join((*known, *others))}")
+    raise invalid_value(name, value, f"must be one of {', '.join((*known, *others))}")
 
 
 def flag(name: str, value: object) -> bool:
     """Return True or False; numpy's count too."""
     if isinstance(value, bool | np.bool_):
         return bool(value)
-    raise refused(name, value, "must be True or False")
+    raise invalid_value(name, value, "must be True or False")
 
 
 def instance(name: str, value: object, kind: type[T], how: str = "") -> T:
     """Object of a class; how says in words where to get one."""
     if isinstance(value, kind):
         return value
-    raise refused(name, value, f"must be {kind.__name__}{how}")
+    raise invalid_value(name, value, f"must be {kind.__name__}{how}")
 
 
 def subclass(name: str, value: object, kind: type[T], known: Mapping[str, type[T]]) -> type[T]:
@@ -98,10 +98,12 @@ def subclass(name: str, value: object, kind: type[T], known: Mapping[str, type[T
         try:
             found = resolve_name(found)
         except Exception as error:  # whatever the module raises
-            raise refused(name, value, f"cannot be imported: {type(error).__name__}: {error}") from error
+            raise invalid_value(name, value, f"cannot be imported: {type(error).__name__}: {error}") from error
     if isinstance(found, type) and issubclass(found, kind):
         return found
-    raise refused(name, value, f'must be one of {", ".join(known)}, a subclass of {kind.__name__} or "module:Class"')
+    raise invalid_value(
+        name, value, f'must be one of {", ".join(known)}, a subclass of {kind.__name__} or "module:Class"'
+    )
 
 
 def array(
@@ -126,7 +128,7 @@ def array(
     except (TypeError, ValueError):
         given = np.array([None])
     if given.size and given.dtype.kind not in "fiu":
-        raise refused(name, values, "must be an array of real numbers")
+        raise invalid_value(name, values, "must be an array of real numbers")
     with np.errstate(over="ignore"):  # What the type cannot hold becomes infinite, and is refused below.
         copy = given.astype(dtype) if given.size else np.zeros(given.shape, dtype)
     if spread:
@@ -143,7 +145,7 @@ def array(
     if not sound.all():
         place = tuple(np.argwhere(~sound)[0].tolist())
         label = f"{name}[{', '.join(map(str, place))}]" if place else name
-        raise refused(label, copy[place].item(), _must_be("number", low, high, unit, above))
+        raise invalid_value(label, copy[place].item(), _must_be("number", low, high, unit, above))
     copy.flags.writeable = not read_only
     return copy
 
@@ -159,16 +161,16 @@ def items(
         given: tuple[Any, ...] = tuple(values)  # type: ignore[arg-type]
         if count is None or len(given) == count:
             return tuple(each(f"{name}[{k}]", value) for k, value in enumerate(given))
-    raise refused(name, values, f"must be a sequence of {what if count is None else f'{count} {what}'}")
+    raise invalid_value(name, values, f"must be a sequence of {what if count is None else f'{count} {what}'}")
 
 
 def names(name: str, values: object, known: Collection[str], what: str = "values") -> Mapping[str, Any]:
     """Return a mapping of which every name is known."""
     if not isinstance(values, Mapping):
-        raise refused(name, values, f"must be a mapping of names to {what}")
+        raise invalid_value(name, values, f"must be a mapping of names to {what}")
     for given in values:
         if given not in known:
-            raise ValueError(f"{name}: there is no {shown(given)}; there are {', '.join(known) or 'none'}")
+            raise ValueError(f"{name}: there is no {brief(given)}; there are {', '.join(known) or 'none'}")
     return values
 
 
@@ -217,17 +219,15 @@ class Parameters:
 
     def __post_init__(self) -> None:
         """Check every field that declares how; a subclass goes on with what must hold between them."""
-        for item in fields(self):
-            if "check" in item.metadata:
-                value = item.metadata["check"](self._label(item.name), getattr(self, item.name))
-                object.__setattr__(self, item.name, value)
+        for name, label, check in _checks(type(self)):  # type: ignore[arg-type]
+            object.__setattr__(self, name, check(label, getattr(self, name)))
 
     @classmethod
     def _label(cls, name: str) -> str:
         return f"{cls.__name__}.{name}"
 
     def _refused(self, name: str, must: str) -> ValueError:
-        return refused(self._label(name), getattr(self, name), must)
+        return invalid_value(self._label(name), getattr(self, name), must)
 
     def to_dict(self) -> dict[str, Any]:
         """Fields by name as JSON-safe values."""
@@ -246,6 +246,13 @@ class Parameters:
         if isinstance(given, Mapping):
             return cls.from_dict(given)
         return instance(name, given, cls, ", its dict form or None")
+
+
+@cache
+def _checks(kind: type[Parameters]) -> list[tuple[str, str, Callable[[str, Any], Any]]]:
+    """Name, label in messages and check of every field that declares how it is checked."""
+    declared = (item for item in fields(kind) if "check" in item.metadata)
+    return [(item.name, kind._label(item.name), item.metadata["check"]) for item in declared]
 
 
 def _plain(value: Any) -> Any:

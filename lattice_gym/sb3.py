@@ -19,6 +19,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
+from lattice_gym.checks import invalid_value
 from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.tasks.registry import resolve_task
 
@@ -48,7 +49,7 @@ class WormVecEnv(VecEnv):
     def __init__(self, envs: VectorEnv[Any, Any, Any]) -> None:
         bare = envs.unwrapped if isinstance(envs, VectorEnv) else None
         if not isinstance(bare, LatticeWormVectorEnv) or bare.spec is None:
-            raise ValueError(f"envs = {envs!r}: must be a LatticeWormVectorEnv that gymnasium.make_vec made")
+            raise invalid_value("envs", envs, "must be a LatticeWormVectorEnv that gymnasium.make_vec made")
         if (mode := envs.metadata.get("autoreset_mode")) is not AutoresetMode.SAME_STEP:
             raise ValueError(f"envs: autoreset_mode must be AutoresetMode.SAME_STEP, got {mode}")
         self.envs: Any = envs
@@ -96,12 +97,12 @@ class WormVecEnv(VecEnv):
         dones = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        step_info: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for worm in np.flatnonzero(~dones).tolist() if self._has_goals else ():
-            told[worm]["reward_terms"] = _of_worm(infos["reward_terms"], worm)
+            step_info[worm]["reward_terms"] = _of_worm(infos["reward_terms"], worm)
         for worm in np.flatnonzero(dones).tolist():
-            told[worm] = self._ended(worm, infos) | {"TimeLimit.truncated": not terminated[worm]}
-        return observations, rewards.astype(np.float32), dones, told
+            step_info[worm] = self._ended(worm, infos) | {"TimeLimit.truncated": not terminated[worm]}
+        return observations, rewards.astype(np.float32), dones, step_info
 
     def _ended(self, worm: int, infos: Mapping[str, Any]) -> dict[str, Any]:
         """Info of the episode's last step, with its sums and its outcome by what was commanded."""
@@ -132,7 +133,7 @@ class WormVecEnv(VecEnv):
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Give an attribute of all worms this value."""
         if len(set(self._get_indices(indices))) < self.num_envs:
-            raise ValueError(f"indices = {indices!r}: must be None, as all worms share {attr_name}")
+            raise invalid_value("indices", indices, f"must be None, as all worms share {attr_name}")
         setattr(self.envs.unwrapped, attr_name, value)
 
     def env_method(

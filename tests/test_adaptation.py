@@ -27,9 +27,9 @@ USE: dict[str, Any] = {"activation": [0.0, 0.5, 1.0], "tension": [0.0, 1.0, 2.0]
 
 def after(adaptation: Adaptation, n_step: int, duration: float, strength: Strength | None = None) -> Strength:
     """Strength after constant use."""
-    strength = adaptation.untrained(3) if strength is None else strength
+    strength = adaptation.initial(3) if strength is None else strength
     for _ in range(n_step):
-        strength = adaptation.used(strength, **USE, duration=duration)
+        strength = adaptation.advance(strength, **USE, duration=duration)
     return strength
 
 
@@ -38,11 +38,11 @@ def test_use_raises_strength_along_the_curve() -> None:
     gains: dict[str, Any] = {"strain_gain": 0.4, "force_gain": 0.05, "cap": 1.9, "carry": True}
     alpha = 1.0 + 0.4 * np.array([0.0, 0.2, 0.3]) + 0.05 * np.array([0.0, 1.0, 2.0])
     each, always = Adaptation(**gains, mode="episode"), Adaptation(**gains, episode=2.0)
-    one, other = each.untrained(3), always.untrained(3)
+    one, other = each.initial(3), always.initial(3)
     for n in range(1, 6):
         one, other = after(each, 40, 0.05, one), after(always, 40, 0.05, other)
         np.testing.assert_allclose(one.factor, np.minimum(alpha ** (n - 1), 1.9), rtol=1e-12)
-        one, other = each.begun(one), always.begun(other)
+        one, other = each.at_reset(one), always.at_reset(other)
         for strength in (one, other):
             np.testing.assert_allclose(strength.factor, np.minimum(alpha**n, 1.9), rtol=1e-12)
     assert one.factor[2] == 1.9
@@ -52,11 +52,11 @@ def test_an_episode_counts_its_means() -> None:
     """Half an episode of rest halves alpha - 1; one without a step changes nothing."""
     adaptation = Adaptation(strain_gain=0.4, force_gain=0.05, mode="episode", carry=True)
     used = after(adaptation, 10, 0.1)
-    rested = adaptation.used(used, [0.0] * 3, [0.0] * 3, [0.0] * 3, 1.0)
-    grown = [adaptation.begun(strength).factor - 1.0 for strength in (used, rested)]
+    rested = adaptation.advance(used, [0.0] * 3, [0.0] * 3, [0.0] * 3, 1.0)
+    grown = [adaptation.at_reset(strength).factor - 1.0 for strength in (used, rested)]
     np.testing.assert_allclose(grown[1], 0.5 * grown[0], rtol=1e-12)
-    begun = adaptation.begun(rested)
-    assert adaptation.begun(begun) is begun
+    begun = adaptation.at_reset(rested)
+    assert adaptation.at_reset(begun) is begun
 
 
 def test_fatigue_and_recovery_are_exponentials() -> None:
@@ -68,7 +68,7 @@ def test_fatigue_and_recovery_are_exponentials() -> None:
         for n_step in (1, 7, 40):
             tired = after(adaptation, n_step, time / n_step)
             np.testing.assert_allclose(tired.factor, expected, rtol=1e-12)
-        rested = adaptation.used(tired, [0.0] * 3, [0.0] * 3, [0.0] * 3, 5.0)
+        rested = adaptation.advance(tired, [0.0] * 3, [0.0] * 3, [0.0] * 3, 5.0)
         np.testing.assert_allclose(1.0 - rested.factor, (1.0 - expected) * np.exp(-0.5), rtol=1e-12, atol=1e-15)
 
 
@@ -76,7 +76,7 @@ def test_without_recovery_fatigue_goes_on() -> None:
     """exp(-F a t), and rest changes nothing."""
     adaptation = Adaptation(fatigue_rate=0.5)
     np.testing.assert_allclose(after(adaptation, 4, 0.5).factor, np.exp([0.0, -0.5, -1.0]), rtol=1e-12)
-    assert (Adaptation().most, Adaptation(strain_gain=1.0, cap=3.0).most) == (1.0, 3.0)
+    assert (Adaptation().max_strength, Adaptation(strain_gain=1.0, cap=3.0).max_strength) == (1.0, 3.0)
     assert (after(Adaptation(), 4, 0.5).factor == 1.0).all()
 
 
@@ -115,7 +115,7 @@ def test_strength_is_what_multiplies_the_tension() -> None:
     weak = LatticeWormEnv("extension", design=SMALL, adaptation=half, dt=2e-4)
     for env in (strong, weak):
         env.reset(seed=0)
-    weak.worms._use = Strength(*np.array([1.0, 0.5, 0.0, 0.0])[:, None, None] * np.ones(weak.model.n_muscle))
+    weak.worms._strength = Strength(*np.array([1.0, 0.5, 0.0, 0.0])[:, None, None] * np.ones(weak.model.n_muscle))
     for env in (strong, weak):
         env.step(np.ones(env.action_space.shape))
     np.testing.assert_allclose(strong.state.position, weak.state.position, atol=1e-15)
@@ -126,7 +126,7 @@ def test_the_environment_follows_the_law() -> None:
     env = LatticeWormEnv("extension", design=SMALL, adaptation=LIVING, control="ring")
     env.reset(seed=0)
     adaptation = Adaptation(**LIVING)
-    strength = adaptation.untrained(env.model.n_muscle)
+    strength = adaptation.initial(env.model.n_muscle)
     for k in range(8):
         before = env.activation
         observation, *_ = env.step(np.full(env.action_space.shape, float(k < 5)))
@@ -134,7 +134,7 @@ def test_the_environment_follows_the_law() -> None:
         tension = env.design.max_tension * active * strength.factor
         strain = muscle_strain(env.model, env.state.position)
         np.testing.assert_allclose(env.task.strength, strength.factor[None], rtol=1e-14)
-        strength = adaptation.used(strength, active, tension, strain, env.control_dt)
+        strength = adaptation.advance(strength, active, tension, strain, env.control_dt)
         np.testing.assert_allclose(env.strength, strength.factor, rtol=1e-14)
         np.testing.assert_array_equal(observation[-env.model.n_muscle :], env.strength.astype(np.float32))
     assert np.ptp(env.strength) > 1e-3
@@ -225,7 +225,7 @@ def test_checkers_specs_and_space() -> None:
 
 
 def test_growth_shortens_the_default_step() -> None:
-    """The default step is that for the strongest muscles there can be."""
+    """The default step is that for the max_tension_factor muscles there can be."""
     steps = [LatticeWormEnv("extension", design={**SMALL, "max_tension": 3.0}, adaptation=adaptation).dt
              for adaptation in (None, {"strain_gain": 1.0, "cap": 4.0}, {"cap": 4.0})]  # fmt: skip
     assert steps[1] < steps[0] == steps[2]
@@ -250,4 +250,4 @@ def test_bad_use(name: str, value: Any) -> None:
     """It is named."""
     adaptation = Adaptation(strain_gain=1.0)
     with pytest.raises(ValueError, match=name):
-        adaptation.used(adaptation.untrained(3), **{**USE, "duration": 0.1, name: value})
+        adaptation.advance(adaptation.initial(3), **{**USE, "duration": 0.1, name: value})

@@ -42,7 +42,7 @@ from agents.evaluation import (
     score,
 )
 from agents.evaluation import main as evaluation_main
-from agents.rollouts import Artefacts, evaluated, export, record
+from agents.rollouts import Artefacts, evaluated_returns, export, record
 from agents.run_folder import Run
 from agents.training import TrainingLog, new_model, resume_settings, step_size, train, worm_seeds
 from lattice_gym.body.design import LatticeDesign
@@ -313,7 +313,7 @@ def test_environment_from_a_file(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("[1]", r"must hold a JSON object"),
-        ('{"wrold": {}}', r"wrold: unknown argument; known are adaptation, .*, world$"),
+        ('{"wrold": {}}', r"wrold: unknown argument; known are activation, .*, world$"),
         ('{"control_dt": 0.1}', r"control_dt: must be given by its own option, --control-dt$"),
         ("{", r"damaged"),
     ],
@@ -390,12 +390,12 @@ def test_policy_of_a_coarse_worm_is_scored_on_a_finer_one(fast: Path, tmp_path: 
     """Return and file names tell which worm it was."""
     path = Path(shutil.copytree(fast, tmp_path / "fast"))
     coarse = evaluate(path, episodes=1)
-    assert set(evaluated(Run.open(path))) == set(POLICIES.values())
+    assert set(evaluated_returns(Run.open(path))) == set(POLICIES.values())
     finer = evaluate(path, episodes=1, fidelity="default")
     files = {name: json.loads((path / name).read_text()) for name in ("evaluation.json", "evaluation-default.json")}
     assert [report["fidelity"] for report in files.values()] == ["fast", "default"]
-    assert set(evaluated(Run.open(path), "default")) == {f"{title} (default)" for title in POLICIES.values()}
-    assert set(evaluated(Run.open(path))) == set(POLICIES.values())
+    assert set(evaluated_returns(Run.open(path), "default")) == {f"{title} (default)" for title in POLICIES.values()}
+    assert set(evaluated_returns(Run.open(path))) == set(POLICIES.values())
     assert finer["gait"].return_mean == pytest.approx(coarse["gait"].return_mean, rel=0.1)
     assert finer["gait"].return_mean != coarse["gait"].return_mean
     artefacts = export(path, "gait", fidelity="default")
@@ -526,8 +526,8 @@ def test_new_worlds_are_learned_in(task: str, tmp_path: Path) -> None:
     assert LatticeDesign.from_dict(design) == design_for(task)
     trajectory = record(run, "gait")
     assert trajectory.world == TASKS[task].world(build_lattice(trajectory.design))
-    assert trajectory.bolus is not None
-    assert trajectory.bolus.shape == (trajectory.n_frame, 1 if task == "transport" else 0, 3)
+    assert trajectory.ball is not None
+    assert trajectory.ball.shape == (trajectory.n_frame, 1 if task == "transport" else 0, 3)
     assert trajectory.markers is not None
     assert trajectory.markers.shape == (1 if task == "reach" else 0, 3)
 
@@ -702,9 +702,9 @@ def test_rollout_names_a_damaged_evaluation(copy: Path) -> None:
 def test_learning_curve_shows_no_score_of_an_older_model(copy: Path) -> None:
     """A score belongs to the checkpoint that earned it; baselines stay."""
     evaluate(copy, episodes=1)
-    assert set(evaluated(Run.open(copy))) == set(POLICIES.values())
+    assert set(evaluated_returns(Run.open(copy))) == set(POLICIES.values())
     train(replace(resume_settings(copy), total_steps=240))
-    assert set(evaluated(Run.open(copy))) == set(POLICIES.values()) - {"trained policy"}
+    assert set(evaluated_returns(Run.open(copy))) == set(POLICIES.values()) - {"trained policy"}
 
 
 def test_run_without_a_checkpoint_cannot_be_evaluated(copy: Path) -> None:
@@ -807,7 +807,7 @@ def test_benchmark_report(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"repeats": 0}, "repeats = 0: must be 1 or more"),
+        ({"repeats": 0}, "repeats = 0: must be a whole number, at least 1"),
         ({"worms": ()}, "worms = .*: must name at least one"),
         ({"throughput": True, "worms": (1, 8)}, "batch_size = 256: must divide n_envs"),
     ],

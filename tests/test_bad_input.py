@@ -52,7 +52,7 @@ from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.laws.activation import advance_activation
 from lattice_gym.physics.laws.adaptation import Adaptation
-from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
@@ -400,8 +400,8 @@ def make_use(call: dict[str, Any]) -> None:
     """Check that strength stays finite and in bounds, whatever the use."""
     for mode in ("continuous", "episode"):
         adaptation = Adaptation(strain_gain=1e6, force_gain=1e6, fatigue_rate=1.0, mode=mode, carry=True)
-        strength = adaptation.begun(adaptation.used(adaptation.untrained(3), **call)).factor
-        assert ((strength >= 0.0) & (strength <= adaptation.most)).all(), "out of bounds"
+        strength = adaptation.at_reset(adaptation.advance(adaptation.initial(3), **call)).factor
+        assert ((strength >= 0.0) & (strength <= adaptation.max_strength)).all(), "out of bounds"
 
 
 _ACTIONS = st.one_of(
@@ -573,10 +573,10 @@ _MODELS = st.lists(
 
 # Worlds
 
-_AROUND_PARTS: dict[str, type[Medium | Ground | Bolus | Contact]] = {
+_AROUND_PARTS: dict[str, type[Medium | Ground | Ball | Contact]] = {
     "medium": Medium,
     "ground": Ground,
-    "bolus": Bolus,
+    "ball": Ball,
     "contact": Contact,
 }
 _FULL_WORLD: dict[str, Any] = {**{name: asdict(part()) for name, part in _AROUND_PARTS.items()}, "lying": True}
@@ -611,9 +611,9 @@ def good_trajectory() -> Trajectory:
 
 
 _FRAMES = {"time": 0.0, "position": small_model().rest_state().position, "activation": np.zeros(N_SMALL),
-           "reward": 0.0, "outcome": "", "bolus": None}  # fmt: skip
+           "reward": 0.0, "outcome": "", "ball": None}  # fmt: skip
 _TRAJECTORY = {name: getattr(good_trajectory(), name) for name in (
-    "time", "position", "activation", "reward", "outcome", "design", "layout", "task", "world", "bolus"
+    "time", "position", "activation", "reward", "outcome", "design", "layout", "task", "world", "ball"
 )}  # fmt: skip
 
 
@@ -733,7 +733,7 @@ TARGETS = [
     ),
     Target("LatticeWormEnv", _ENVS, make_env, lambda call: (*_ENV, *FIELDS, "LatticeDesign")),
     Target("Adaptation and Hill", _LIVING, make_living, lambda call: (call[0].__name__,)),
-    Target("Adaptation.used", _USES, make_use, lambda call: (*call,)),
+    Target("Adaptation.advance", _USES, make_use, lambda call: (*call,)),
     Target("step", _ACTIONS, make_action, _fixed("action")),
     Target("reset", _RESETS, make_reset, _fixed("seed", "options")),
     Target(

@@ -1,4 +1,4 @@
-"""Rods that touch each other: exact cases on both engines, the list of pairs, energy, the stable step, bad input."""
+"""Rods that touch each other: exact cases on both engines, the list of pairs, energy, the critical step, bad input."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from lattice_gym.engines.pyelastica.contact import touchable_pairs
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.critical_step import SAFETY, critical_dt, default_dt
 from lattice_gym.physics.energy import EnergyMeter
 from lattice_gym.physics.laws import contact
 from lattice_gym.physics.laws.contact import Contact
@@ -30,7 +31,6 @@ from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.joints import Joint
 from lattice_gym.physics.laws.loads import PointForce
 from lattice_gym.physics.rod import straight_rod
-from lattice_gym.physics.stable_step import SAFETY, default_dt, stable_dt
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
@@ -77,7 +77,7 @@ def test_depth(engine_name: EngineName) -> None:
         PointForce(rod, node, (0.0, 0.0, sign * 0.5 * force)) for rod, sign in ((0, 1.0), (1, -1.0)) for node in (1, 2)
     ]
     model = crossing(1e-3, forces=tuple(forces), contact=Contact(stiffness=10.0, damping=0.5), rod={"damping": 0.3})
-    engine = simulate(engine_name, model, 0.9 * stable_dt(model))
+    engine = simulate(engine_name, model, 0.9 * critical_dt(model))
     assert engine.advance([], round(3.0 / engine.dt)).ok
     position = engine.state.position
     pairs = touching(model, position)
@@ -93,7 +93,7 @@ def test_a_bounce_from_afar(engine_name: EngineName) -> None:
         straight_rod((0, -0.02, 0.1), (0, 0.02, 0.1), 2, **ROD | stiff),
     ]
     model = RodModel(rods=tuple(rods), contact=Contact(stiffness=250.0, damping=0.0))
-    engine = simulate(engine_name, model, 0.5 * stable_dt(model))
+    engine = simulate(engine_name, model, 0.5 * critical_dt(model))
     engine.restore(moved(model, 1, 0.0, (0.0, 0.0, -1.0)))
     assert engine.advance([], round(0.11 / engine.dt)).ok
     share = model.node_mass[:3] / model.node_mass[:3].sum()
@@ -384,7 +384,7 @@ def crowd(tables: kernel.Contact) -> int:
     for element in tables.head.tolist():
         size = 0
         while element >= 0:
-            size, element = size + 1, int(tables.behind[element])
+            size, element = size + 1, int(tables.next_in_bucket[element])
         most = max(most, size)
     return most
 
@@ -404,7 +404,7 @@ def test_a_diverging_run_costs_no_more(where: float, n_gone: int) -> None:
     assert crowd(tables) <= 2 * before
     engine.restore(start)
     assert engine.advance([], 1).ok
-    assert len(sound) == tables.used[0]
+    assert len(sound) == tables.n_listed[0]
 
 
 @pytest.mark.parametrize("room", [1, 1000])
@@ -502,9 +502,9 @@ def stack(n_rod: int, damping: float) -> tuple[RodModel, RodState]:
 @pytest.mark.parametrize("splitting", ["pyelastica", "symmetric"])
 @pytest.mark.parametrize("damping", [0.0, 50.0])
 def test_never_above_the_measured_limit(damping: float, splitting: Splitting) -> None:
-    """Crossed rods stacked node on node are what the stable step reckons with: it holds, and no longer one does."""
+    """Crossed rods stacked node on node are what the critical step reckons with: it holds, and no longer one does."""
     model, state = stack(12, damping)
-    limit = stable_dt(model, splitting=splitting) / SAFETY
+    limit = critical_dt(model, splitting=splitting) / SAFETY
     for share, holds in ((0.99, True), (1.05, False)):
         engine = simulate("fused", model, share * limit, splitting)
         engine.restore(state)
@@ -514,7 +514,7 @@ def test_never_above_the_measured_limit(damping: float, splitting: Splitting) ->
 
 def beside(n_elem: int) -> tuple[RodModel, RodState]:
     """Three soft parallel rods pressed into each other by a tenth of the reach, and their state of balance."""
-    length, height, depth = 0.4, 0.1 + 1e-8, contact.DEEPEST * 2.0 * SOFT["radius"]
+    length, height, depth = 0.4, 0.1 + 1e-8, contact.MAX_DEPTH * 2.0 * SOFT["radius"]
     rods = tuple(straight_rod((0.0, 0.0, k * height), (length, 0.0, k * height), n_elem, **SOFT) for k in range(3))
     law = Contact(stiffness=1e4, damping=0.0)
     model = RodModel(rods=rods, contact=law)
@@ -535,7 +535,7 @@ def beside(n_elem: int) -> tuple[RodModel, RodState]:
 def test_never_above_what_short_elements_bear(n_elem: int) -> None:
     """Down to elements of a tenth of the reach, each of which touches many of the next rod."""
     model, state = beside(n_elem)
-    dt = stable_dt(model) / SAFETY
+    dt = critical_dt(model) / SAFETY
     engine = simulate("fused", model, dt)
     engine.restore(state)
     # An unstable step makes a disturbance grow by orders of magnitude in this time.
@@ -547,7 +547,7 @@ def test_what_it_costs(lattice: Lattice) -> None:
     """The default contact leaves half of the predicted step of the default lattice, whose elements are short."""
     layout = named_layout("compression", lattice)
     plain, with_contact = (
-        stable_dt(build_model(lattice, layout, World(contact=law)), 0.5) for law in (None, Contact())
+        critical_dt(build_model(lattice, layout, World(contact=law)), 0.5) for law in (None, Contact())
     )
     assert 0.5 < with_contact / plain <= 1.0
 

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lattice_gym.body.design import CLOSING_TOLERANCE, MIN_SEGMENT_SHARE, LatticeDesign
-from lattice_gym.checks import TURN, wrap_angle
+from lattice_gym.checks import TAU, wrap_angle
 
 COUNTS = ("n_pairs", "elements_per_segment", "elements_per_muscle")
 REALS = tuple(spec.name for spec in fields(LatticeDesign) if spec.type == "float")
@@ -109,7 +109,7 @@ def test_phases_are_checked(phases: Any) -> None:
 def test_default_phases_follow_the_chirality() -> None:
     """Each chirality is spread evenly by itself, in the order of its rods."""
     design = LatticeDesign(n_pairs=3, chirality=(1, -1, -1, 1, -1, 1))
-    np.testing.assert_allclose(design.rod_phases, np.array([0, 0, 1, 1, 2, 2]) * TURN / 3)
+    np.testing.assert_allclose(design.rod_phases, np.array([0, 0, 1, 1, 2, 2]) * TAU / 3)
     assert not design.rod_phases.flags.writeable
     assert not design.rod_chirality.flags.writeable
 
@@ -163,20 +163,20 @@ def test_coincident_rods_are_named() -> None:
     with pytest.raises(ValueError, match=r"phases = .*right-handed rods 1 and 3 coincide"):
         LatticeDesign(phases=tuple(phases))
     with pytest.raises(ValueError, match=r"phases = .*left-handed rods 6 and 9 coincide"):
-        LatticeDesign(phases=(*range(6), 0, 1, 2, TURN, 4, 5))
+        LatticeDesign(phases=(*range(6), 0, 1, 2, TAU, 4, 5))
 
 
 def test_a_rod_that_meets_none_at_the_base_is_refused() -> None:
     """Left-handed rods turned against the right-handed ones do not start at crossings."""
-    even = TURN / 6 * np.arange(6)
+    even = TAU / 6 * np.arange(6)
     with pytest.raises(ValueError, match=r"phases = .*rod 8 starts where no right-handed rod does"):
         LatticeDesign(phases=(*even, 0.0, even[1], 2.5, *even[3:]))
 
 
-@pytest.mark.parametrize("shift", [0.0, 1e-10, -1e-10, 0.3, -1.0, TURN / 12, 100.0])
+@pytest.mark.parametrize("shift", [0.0, 1e-10, -1e-10, 0.3, -1.0, TAU / 12, 100.0])
 def test_a_turned_lattice_is_even(shift: float) -> None:
     """A shift of all phases turns the lattice and changes nothing else, wherever the circle is cut."""
-    phases = tuple(TURN / 6 * np.tile(np.arange(6), 2) + shift)
+    phases = tuple(TAU / 6 * np.tile(np.arange(6), 2) + shift)
     pattern = LatticeDesign(phases=phases).phase_pattern
     assert pattern.symmetry == 6
     starts = np.array([pattern.azimuth(rank) for rank in pattern.rank])
@@ -199,7 +199,7 @@ def test_uneven_phases_close_where_they_repeat() -> None:
 def test_shortest_segment() -> None:
     """The stated share is the limit."""
     for share, fits in ((MIN_SEGMENT_SHARE * 1.01, True), (MIN_SEGMENT_SHARE * 0.99, False)):
-        phases = (0.0, share * TURN / 3, 3.0)
+        phases = (0.0, share * TAU / 3, 3.0)
         values: dict[str, Any] = {"n_pairs": 3, "phases": phases * 2, "period_ratio": 2.0, "structure_radius": 1e-4}
         if fits:
             _build(**values)
@@ -211,14 +211,14 @@ def test_shortest_segment() -> None:
 def _distance_of_rods_that_never_cross(design: LatticeDesign, count: int = 801) -> float:
     """Least distance between points of rods that share no crossing [m], by looking everywhere."""
     z = np.linspace(0.0, design.height, count)
-    angle = design.rod_phases[:, None] + design.rod_chirality[:, None] * TURN / design.period * z
+    angle = design.rod_phases[:, None] + design.rod_chirality[:, None] * TAU / design.period * z
     radius = design.diameter / 2
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.broadcast_to(z, angle.shape)], axis=2)
     least = math.inf
     for one in range(design.n_rod):
         for other in range(one):
             if design.rod_chirality[one] != design.rod_chirality[other]:
-                turns = np.sort((angle[one] - angle[other])[[0, -1]]) / TURN
+                turns = np.sort((angle[one] - angle[other])[[0, -1]]) / TAU
                 if math.ceil(turns[0] - 1e-9) <= turns[1] + 1e-9:
                     continue
             apart = np.linalg.norm(points[one][:, None] - points[other], axis=2)
@@ -273,7 +273,7 @@ def test_a_rod_has_two_elements() -> None:
 @settings(max_examples=60, deadline=None)
 def test_round_trips(n_pairs: int, shift: float, height: float, poisson: float, explicit: bool, base: str) -> None:
     """JSON, dict and pickle give back an equal design with an equal hash."""
-    phases = tuple(TURN / n_pairs * np.tile(np.arange(n_pairs), 2) + shift) if explicit else None
+    phases = tuple(TAU / n_pairs * np.tile(np.arange(n_pairs), 2) + shift) if explicit else None
     design = LatticeDesign(
         n_pairs=n_pairs,
         phases=phases,

@@ -300,16 +300,16 @@ def test_the_place_is_where_the_energy_is() -> None:
     velocity = rest.velocity.copy()
     velocity[6] = 1.0
     state = replace(rest, velocity=velocity, position=rest.position + np.where(np.arange(8) == 7, 0.3, 0.0)[:, None])
-    assert meter.most(meter.stored(state)) == (1, 2)
+    assert meter.peak_element(meter.stored(state)) == (1, 2)
 
 
 def test_rest_is_no_alarm() -> None:
-    """Rounding at rest is no energy from nowhere, whatever its share of next to nothing."""
+    """Rounding at rest is no spurious energy, whatever its share of next to nothing."""
     model = RodModel(rods=(straight_rod((0, 0, 0), (0, 0, 1), 3, **ROD),))
     meter = EnergyMeter(model)
     rest = meter.stored(model.rest_state())
     nudge = meter.stored(_moved(model.rest_state(), 1e-9 * np.eye(4, 3)))
-    entry = ledger(rest, nudge, Flow(), meter.least)
+    entry = ledger(rest, nudge, Flow(), meter.negligible)
     assert -ENERGY_TOLERANCE * entry.scale < entry.residual < 0.0
 
 

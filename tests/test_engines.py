@@ -27,7 +27,8 @@ from lattice_gym.engines.registry import EngineName, make_engine
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.engines.step_doubling import STEP_TOLERANCE
 from lattice_gym.physics.assembly import Clamp, RodModel
-from lattice_gym.physics.laws.ball import Ball
+from lattice_gym.physics.critical_step import critical_dt, default_dt
+from lattice_gym.physics.laws.ball import RigidBall
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.joints import Joint
@@ -35,7 +36,6 @@ from lattice_gym.physics.laws.lines import Line
 from lattice_gym.physics.laws.loads import PointForce, PointTorque
 from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.rod import rotation_between, straight_rod
-from lattice_gym.physics.stable_step import default_dt, stable_dt
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
@@ -176,7 +176,7 @@ def mixed_assembly() -> RodModel:
 def test_engines_agree_on_any_assembly() -> None:
     """General rods: the same motion to rounding, clamps held exactly."""
     model = mixed_assembly()
-    dt = 0.5 * stable_dt(model)
+    dt = 0.5 * critical_dt(model)
     engines = [simulate(name, model, dt) for name in ("fused", "pyelastica")]
     for engine in engines:
         assert engine.advance([[0.0, 0.0], [100.0, 10.0]], 400).ok
@@ -286,9 +286,9 @@ def test_a_ramp_is_the_mean_of_its_ends(engine_name: EngineName, lattice: Lattic
 
 
 def test_divergence_has_a_status_and_a_place(engine_name: EngineName, lattice: Lattice) -> None:
-    """A step far beyond the stable one ends in a named failure, not in an exception or silence."""
+    """A step far beyond the critical one ends in a named failure, not in an exception or silence."""
     model = build_model(lattice, named_layout("all", lattice))
-    engine = simulate(engine_name, model, 2.0 * stable_dt(model))
+    engine = simulate(engine_name, model, 2.0 * critical_dt(model))
     health = engine.advance(np.full(model.n_muscle, 0.5), 60)
     assert not health.ok
     assert 0 <= health.rod < model.n_rod
@@ -390,7 +390,7 @@ def test_restore_starts_the_comparison_anew(astray: Plan) -> None:
 def test_step_error(engine_name: EngineName) -> None:
     """A number after a call that ends in a state; None before the first, once restored, and where the run failed."""
     model = mixed_assembly()
-    dt = 0.5 * stable_dt(model)
+    dt = 0.5 * critical_dt(model)
     engine, plain = (simulate(engine_name, model, dt, step_check=check) for check in (True, False))
     assert engine.step_error is None
     for ramp in ([0.0, 100.0], [100.0, 100.0], [100.0, 20.0]):
@@ -414,7 +414,7 @@ def test_step_error(engine_name: EngineName) -> None:
 def test_step_error_where_energy_comes_from_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
     """That flag leaves a state, which is compared: the flag is the one, the number that of a run without it."""
     model = mixed_assembly()
-    both = simulate("fused", model, 0.5 * stable_dt(model), energy_check=True, step_check=True)
+    both = simulate("fused", model, 0.5 * critical_dt(model), energy_check=True, step_check=True)
     alone = simulate("fused", model, both.dt, step_check=True)
     monkeypatch.setattr(EnergyAudit, "close", lambda *arguments: Health(Status.ENERGY, 2, 1))
     for _ in range(2):
@@ -426,10 +426,10 @@ def test_step_error_where_energy_comes_from_nowhere(monkeypatch: pytest.MonkeyPa
 def test_half_a_step_that_fails_flags_the_run(engine_name: EngineName) -> None:
     """The run is inaccurate where the run beside it fails, and has no distance from it."""
     model = mixed_assembly()
-    dt = 0.5 * stable_dt(model)
+    dt = 0.5 * critical_dt(model)
     engine = simulate(engine_name, model, dt, step_check=True)
     assert engine.advance(np.full(model.n_muscle, 100.0), 30).ok
-    engine.engine._finer = make_engine(engine_name, [model], 10.0 * dt)
+    engine.engine._half_step = make_engine(engine_name, [model], 10.0 * dt)
     health = engine.advance(np.full(model.n_muscle, 100.0), 30)
     failed = simulate(engine_name, model, 10.0 * dt).advance(np.full(model.n_muscle, 100.0), 60)
     assert not failed.ok
@@ -494,8 +494,10 @@ def test_the_step_check_sees_the_ball(monkeypatch: pytest.MonkeyPatch) -> None:
     shape = {"radius": 0.01, "density": 1e3, "youngs_modulus": 1e5, "shear_modulus": 3e4}
     rod = straight_rod((0.0, 0.0, 0.0), (0.3, 0.0, 0.0), 2, **shape)
     clamps = tuple(Clamp(0, node, node if node < 2 else None) for node in range(3))
-    ball = Ball(position=np.array([0.15, 0.0, 0.05]), radius=0.03, mass=0.1, stiffness=100.0, force=(0.0, 0.0, -1.0))
-    engine = simulate("fused", RodModel(rods=(rod,), clamps=clamps, bolus=ball), 2e-3, step_check=True)
+    ball = RigidBall(
+        position=np.array([0.15, 0.0, 0.05]), radius=0.03, mass=0.1, stiffness=100.0, force=(0.0, 0.0, -1.0)
+    )
+    engine = simulate("fused", RodModel(rods=(rod,), clamps=clamps, ball=ball), 2e-3, step_check=True)
     assert str(engine.advance([], 100)) == "inaccurate (ball)"
     assert engine.step_error is not None
     assert engine.step_error > 1e-6

@@ -37,20 +37,20 @@ from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.envs.goal import LatticeWormGoalEnv
 from lattice_gym.envs.scene import resolve_world
-from lattice_gym.envs.settling import QUIET
+from lattice_gym.envs.settling import SETTLED_SPEED
 from lattice_gym.envs.terms import MOTION_BOUND
 from lattice_gym.envs.vector import LatticeWormVectorEnv
+from lattice_gym.physics.critical_step import critical_dt
 from lattice_gym.physics.laws.activation import Activation, FirstOrder, Thelen, Twitch, advance_activation
-from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.measures import muscle_lengths, site_positions
-from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.state import Motion
 from lattice_gym.physics.world import World
 from lattice_gym.recording.trajectory import Recorder
 from lattice_gym.tasks.axial import AxialTask
-from lattice_gym.tasks.base import EFFORT_WEIGHT, LEAST_PENALTY, RewardTerm
+from lattice_gym.tasks.base import EFFORT_WEIGHT, MIN_PENALTY, RewardTerm
 from lattice_gym.tasks.peristalsis import Peristalsis
 from lattice_gym.tasks.registry import TASKS
 
@@ -367,8 +367,8 @@ def test_numpy_arguments() -> None:
 def test_any_task_in_any_world(task: str, engine_name: EngineName) -> None:
     """Everything at once, on either engine; deterministic, and a copy goes on as it would."""
     # A worm must be at rest before it crawls; a ball slips out between so few rods and is not, so it has lines instead.
-    ball = None if task == "crawl" else Bolus(radius=0.02)
-    world = World(medium=Medium(drag=0.01), ground=Ground(forward=0.5), bolus=ball, lying=True)
+    ball = None if task == "crawl" else Ball(radius=0.02)
+    world = World(medium=Medium(drag=0.01), ground=Ground(forward=0.5), ball=ball, lying=True)
     design = SMALL | {"base": "free", "muscle_model": "line" if ball is None else "rod"}
     command = SMALL_WAVE if task == "peristalsis" else None
     env = LatticeWormEnv(task, design=design, world=world, engine=engine_name, control="ring", command=command)
@@ -405,8 +405,8 @@ def test_goals() -> None:
     # Of what was reached itself the reward is its distance from rest; infos without terms leave the effort out.
     hindsight = env.compute_reward(achieved, achieved, [{}] * 5)
     np.testing.assert_allclose(hindsight, 0.2 * np.linalg.norm(achieved, axis=1), rtol=1e-6)
-    diverged = {"reward_terms": {"approach": 0.0, "effort": 0.0, "divergence": -LEAST_PENALTY}}
-    assert env.compute_reward(achieved[0], desired[0], diverged) == -LEAST_PENALTY
+    diverged = {"reward_terms": {"approach": 0.0, "effort": 0.0, "divergence": -MIN_PENALTY}}
+    assert env.compute_reward(achieved[0], desired[0], diverged) == -MIN_PENALTY
     # One info counts for all goals, None for none, and their number must fit.
     plain = env.compute_reward(achieved, desired, None)
     np.testing.assert_array_equal(plain, env.compute_reward(achieved, desired, {}))
@@ -492,25 +492,25 @@ def test_drag_holds_up_no_settling(drag: float) -> None:
     start = env.state.position
     for _ in range(20):
         env.step(np.zeros(15))
-    assert np.abs(env.state.position - start).max() < QUIET * env.design.height
+    assert np.abs(env.state.position - start).max() < SETTLED_SPEED * env.design.height
 
 
 @pytest.mark.parametrize("density", [990.0, 1001.0, 1010.0])
 def test_a_ball_that_friction_holds_comes_to_rest(density: float) -> None:
     """At once, and stays."""
-    env = LatticeWormEnv("transport", fidelity="fast", control="ring", world={"bolus": {"density": density}})
+    env = LatticeWormEnv("transport", fidelity="fast", control="ring", world={"ball": {"density": density}})
     env.reset(seed=0)
-    start = env.state.bolus_position
+    start = env.state.ball_position
     for _ in range(20):
         env.step(np.zeros(15))
-    assert np.abs(env.state.bolus_position - start).max() < QUIET * env.design.height
+    assert np.abs(env.state.ball_position - start).max() < SETTLED_SPEED * env.design.height
 
 
 @pytest.mark.parametrize(
     ("task", "world", "message"),
     [
-        ("transport", {"bolus": {"density": 1050.0}}, r"^world: transport is over before it starts"),
-        ("transport", {"bolus": {"density": 500.0}}, r"^world: transport is over before it starts"),
+        ("transport", {"ball": {"density": 1050.0}}, r"^world: transport is over before it starts"),
+        ("transport", {"ball": {"density": 500.0}}, r"^world: transport is over before it starts"),
         ("crawl", {"medium": {"density": 2000.0}}, r"^world: worm and ball do not come to rest .* after 30 s"),
         ("crawl", {"ground": None}, r"^world.ground = None: there is nothing to crawl on"),
         ("crawl", {"medium": None}, r"^world.medium: has no gravity"),
@@ -533,9 +533,9 @@ def test_restating_a_world_changes_nothing(task: str) -> None:
         single = [{field: value} for field, value in part.items()] if isinstance(part, dict) else []
         for stated in (part, *single):
             assert resolve_world({name: stated}, TASKS[task].world, lattice) == own
-    changed = resolve_world({"medium": {"drag": 0.5}, "bolus": Bolus(friction=0.2)}, TASKS[task].world, lattice)
+    changed = resolve_world({"medium": {"drag": 0.5}, "ball": Ball(friction=0.2)}, TASKS[task].world, lattice)
     assert own.medium is not None
-    assert changed == replace(own, medium=replace(own.medium, drag=0.5), bolus=Bolus(friction=0.2))
+    assert changed == replace(own, medium=replace(own.medium, drag=0.5), ball=Ball(friction=0.2))
     assert resolve_world({"medium": None, "ground": {}}, TASKS["reach"].world, lattice) == World(ground=Ground())
 
 
@@ -545,7 +545,7 @@ def test_a_ball_that_has_left_ends_the_episode(height: float, direction: float, 
     env = _env("LatticeWormTransport-v0", control="ring", command={"direction": direction})
     env.reset(seed=0)
     state = env.state
-    state.bolus_position[0, 2] = height
+    state.ball_position[0, 2] = height
     env.worms.restore(state)
     _, reward, terminated, truncated, info = env.step(np.zeros(15))
     assert (terminated, truncated, info["status"]) == (True, False, "ok")
@@ -688,7 +688,7 @@ def test_steps_need_a_reset() -> None:
         ({"control": "brain"}, r"^control = 'brain'"),
         ({"control": [0, 1]}, r"^control = \[0, 1\]: must be a sequence of 90 groups, one for each"),
         ({"control": [0, 2] * 45}, r"^control: group 1 drives no muscle"),
-        ({"rhythm": 0.0}, r"^rhythm = 0.0: must be a number from 0 to 10 \[Hz\], and not 0"),
+        ({"rhythm": 0.0}, r"^rhythm = 0.0: must be a number above 0 and at most 10 \[Hz\]"),
         ({"rhythm": 11.0}, r"^rhythm = 11.0"),
         ({"rhythm": "fast"}, r"^rhythm = 'fast'"),
         ({"engine": "steam"}, r"^engine = 'steam': must be one of fused, pyelastica"),
@@ -696,10 +696,10 @@ def test_steps_need_a_reset() -> None:
         ({"dt": float("nan")}, r"^dt = nan"),
         ({"dt": "small"}, r"^dt = 'small'"),
         ({"dt": True}, r"^dt = True"),
-        ({"dt": 0.1}, r"^dt = 0.1: must be a number from 0 to 0.05"),
+        ({"dt": 0.1}, r"^dt = 0.1: must be a number above 0 and at most 0.05"),
         ({"dt": 1e-9}, r"^dt = 1e-09: 5e\+07 steps in control_dt"),
         ({"dt": 3e-4}, r"^dt = 0.0003: must divide .* 0.00029940\d* and 0.00030120\d* s"),
-        ({"dt": 1e-3}, r"^dt = 0.001: above the predicted stable .* allow_large_dt=True"),
+        ({"dt": 1e-3}, r"^dt = 0.001: above the critical time step, .* allow_large_dt=True"),
         ({"allow_large_dt": "yes"}, r"^allow_large_dt = 'yes'"),
         ({"control_dt": 0.0}, r"^control_dt = 0.0"),
         ({"control_dt": -0.05}, r"^control_dt = -0.05"),
@@ -711,16 +711,16 @@ def test_steps_need_a_reset() -> None:
         ({"task": "crawl", "design": LatticeDesign()}, r"^world: a worm that lies needs a free base"),
         ({"task": "crawl", "design": LatticeDesign(), "world": World()}, r"^design.base = .*must be free"),
         ({"task": "crawl", "command": {"direction": 0.5}}, r"^command\['direction'\] = 0.5: must be -1 or 1"),
-        ({"task": "transport", "world": {"bolus": None}}, r"^world.bolus = None: there is nothing to carry"),
+        ({"task": "transport", "world": {"ball": None}}, r"^world.ball = None: there is nothing to carry"),
         (
             {"task": "transport", "design": {"n_pairs": 2, "period_ratio": 1.0}},
             r"^design: 2 pairs of rods leave no room for a ball",
         ),
         ({"world": {"lying": True}}, r"^world: a worm that lies needs a free base"),
-        ({"world": 7}, r"^world = 7: must be a World"),
-        ({"world": {"moon": None}}, r"^World: has no 'moon'"),
+        ({"world": 7}, r"^world = 7: must be World"),
+        ({"world": {"moon": None}}, r"^World: there is no 'moon'"),
         ({"world": {"ground": {"stiffness": -1.0}}}, r"^Ground.stiffness = -1.0"),
-        ({"command": {"azimuth": 0.0}}, r"^command: peristalsis commands no 'azimuth'"),
+        ({"command": {"azimuth": 0.0}}, r"^command: there is no 'azimuth'"),
         ({"render_mode": "human"}, r"^render_mode = 'human'"),
         ({"render_mode": 3}, r"^render_mode = 3"),
         ({"design": {"structure_youngs_modulus": 1e13}}, r"^dt = .* steps in control_dt"),
@@ -783,10 +783,10 @@ def test_any_options_are_taken_or_named(options: Any) -> None:
 
 @pytest.mark.parametrize("divisor", [160, 200, 500])
 def test_dt(divisor: int) -> None:
-    """Any whole fraction of the control step below the stable step is taken as it is."""
+    """Any whole fraction of the control step below the critical step is taken as it is."""
     env = LatticeWormEnv(dt=0.05 / divisor)
     assert (env.n_substeps, env.dt) == (divisor, 0.05 / divisor)
-    assert env.dt < stable_dt(env.model, env.design.max_tension)
+    assert env.dt < critical_dt(env.model, env.design.max_tension)
     assert LatticeWormEnv().n_substeps * LatticeWormEnv().dt == pytest.approx(0.05, rel=1e-12)
 
 
@@ -815,10 +815,10 @@ def test_divergence_ends_the_episode_and_never_pays(task: str, engine_name: Engi
     assert terminated
     assert re.fullmatch(r"(non_finite|overstretched|inverted) \(rod \d+, element \d+\)", info["status"])
     assert tuple(info["reward_terms"]) == (*env.task.weights, "divergence")
-    assert reward == info["reward_terms"]["divergence"] == -LEAST_PENALTY
+    assert reward == info["reward_terms"]["divergence"] == -MIN_PENALTY
     np.testing.assert_array_equal(observation, before)
     assert np.isfinite(env.state.position).all()
-    assert total < -0.5 * LEAST_PENALTY
+    assert total < -0.5 * MIN_PENALTY
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(np.ones(env.action_space.shape))
     env.reset(seed=0)
@@ -864,7 +864,7 @@ def test_a_run_astray_ends_the_episode() -> None:
     assert [step[2] for step in first[1:]] == [False] * 4 + [True]
     assert not plain_first[-1][2]
     assert re.fullmatch(r"inaccurate \(rod \d+, element \d+\)", first[-1][4]["status"])
-    assert first[-1][4]["reward_terms"]["divergence"] == -LEAST_PENALTY
+    assert first[-1][4]["reward_terms"]["divergence"] == -MIN_PENALTY
     np.testing.assert_array_equal(first[-1][0], first[-2][0])
     with pytest.raises(gymnasium.error.ResetNeeded):
         checked.step(commands[0].astype(float))

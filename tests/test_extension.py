@@ -135,6 +135,21 @@ def test_it_observes_a_term_of_its_own(folder: Path) -> None:
     assert worm.observation_space.high[place] == pytest.approx(np.pi)
 
 
+def test_what_it_tells_of_its_command_is_checked(folder: Path) -> None:
+    """Clipped and counted beyond its bounds; another shape is one clear error."""
+    with (folder / "twist.py").open("a") as file:
+        for name, told in (("Loud", "3.0 + super().observe(motion, time)"), ("Wide", "np.zeros((1, 2))")):
+            file.write(f"\n\nclass {name}(Twist):\n    def observe(self, motion, time):\n        return {told}\n")
+    env = gymnasium.make(ID, **SHORT | {"task": "twist:Loud"})
+    worm: Any = env.unwrapped
+    seen, _ = env.reset(seed=0)
+    assert seen[worm.observation_slices["command"]] == [1.0]
+    *_, info = env.step(np.zeros(96, dtype=np.float32))
+    assert info["clipped_observations"] == 1
+    with pytest.raises(ValueError, match=r"^command: must give shape \(1, 1\), got \(1, 2\)"):
+        gymnasium.make(ID, **SHORT | {"task": "twist:Wide"}).reset(seed=0)
+
+
 def test_specs_survive_json(folder: Path) -> None:
     """What is read back makes an equal worm."""
     env = gymnasium.make(ID, **SHORT, reward_weights={"effort": 0.02})

@@ -17,11 +17,11 @@ from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.critical_step import critical_dt, default_dt
 from lattice_gym.physics.laws.hill import Hill
 from lattice_gym.physics.laws.lines import Line
 from lattice_gym.physics.laws.loads import PointForce
 from lattice_gym.physics.rod import straight_rod
-from lattice_gym.physics.stable_step import default_dt, stable_dt
 from lattice_gym.physics.worm import build_model
 
 SOFT: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 10.0, "shear_modulus": 4.0}
@@ -196,7 +196,7 @@ def test_the_lattice_bears_the_predicted_step(muscle_model: str, max_speed: floa
     """Random bang-bang tension on a worm at the predicted step: nothing blows up, nothing comes from nowhere."""
     lattice = build_lattice(LatticeDesign(n_pairs=3, elements_per_segment=2, muscle_model=muscle_model))
     model = build_model(lattice, named_layout("all", lattice), hill=Hill(max_speed=max_speed))
-    engine = simulate("fused", model, stable_dt(model, 0.5, "symmetric"), "symmetric", energy_check=True)
+    engine = simulate("fused", model, critical_dt(model, 0.5, "symmetric"), "symmetric", energy_check=True)
     rng = np.random.default_rng(0)
     for _ in range(40):
         assert engine.advance(0.5 * rng.integers(0, 2, model.n_muscle), 100).ok

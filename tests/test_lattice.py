@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
-from lattice_gym.checks import TURN, FloatArray, wrap_angle
+from lattice_gym.checks import TAU, FloatArray, wrap_angle
 
 FIELDS = tuple(LatticeDesign().to_dict())
 
@@ -25,13 +25,13 @@ def _designs(draw: st.DrawFn) -> LatticeDesign:
     # A pattern of one rod that does not repeat would be a single pair.
     repeat = draw(st.integers(1 if symmetry > 1 else 2, 3))
     gaps = np.array(draw(st.lists(st.floats(0.2, 1.0), min_size=repeat, max_size=repeat)))
-    offset = np.cumsum(gaps / gaps.sum()) * TURN / symmetry + draw(st.floats(-7.0, 7.0))
-    family = (offset + TURN / symmetry * np.arange(symmetry)[:, None]).ravel()
+    offset = np.cumsum(gaps / gaps.sum()) * TAU / symmetry + draw(st.floats(-7.0, 7.0))
+    family = (offset + TAU / symmetry * np.arange(symmetry)[:, None]).ravel()
     n_pairs = symmetry * repeat
     rods = draw(st.permutations([(phase, sign) for sign in (1, -1) for phase in family.tolist()]))
     return LatticeDesign(
         n_pairs=n_pairs,
-        phases=tuple(phase + TURN * draw(st.integers(-2, 2)) for phase, _ in rods),
+        phases=tuple(phase + TAU * draw(st.integers(-2, 2)) for phase, _ in rods),
         chirality=tuple(sign for _, sign in rods),
         period_ratio=2 * symmetry / draw(st.integers(1, 9)),
         height=draw(st.floats(0.01, 1.0)),
@@ -48,8 +48,8 @@ def _crossings(design: LatticeDesign) -> FloatArray:
     for right in np.flatnonzero(design.rod_chirality == 1):
         for left in np.flatnonzero(design.rod_chirality == -1):
             for turn in range(-most, most + 1):
-                lead = design.rod_phases[left] - design.rod_phases[right] + TURN * turn
-                z = design.period / (2 * TURN) * lead
+                lead = design.rod_phases[left] - design.rod_phases[right] + TAU * turn
+                z = design.period / (2 * TAU) * lead
                 if -1e-7 * design.height <= z <= (1 + 1e-7) * design.height:
                     found.append((right, left, z))
     return np.array(sorted(found))
@@ -78,7 +78,7 @@ def _check(lattice: Lattice) -> None:
 
     # Nodes lie on the helix of their rod, evenly spaced within a segment.
     z = lattice.position[:, :, 2]
-    angle = design.rod_phases[:, None] + design.rod_chirality[:, None] * TURN * z / design.period
+    angle = design.rod_phases[:, None] + design.rod_chirality[:, None] * TAU * z / design.period
     helix = design.diameter / 2 * np.stack([np.cos(angle), np.sin(angle)], axis=2)
     np.testing.assert_allclose(lattice.position[:, :, :2], helix, atol=3e-9 * design.diameter)
     length = np.linalg.norm(np.diff(lattice.position, axis=1), axis=2).reshape(design.n_rod, design.n_segment, count)
@@ -100,7 +100,7 @@ def _check(lattice: Lattice) -> None:
     # Sites are sorted, and levels are what they say.
     azimuth = np.arctan2(lattice.site_position[:, 1], lattice.site_position[:, 0])
     np.testing.assert_allclose(wrap_angle(azimuth - lattice.site_azimuth), 0.0, atol=1e-12)
-    assert np.all((lattice.site_azimuth >= 0.0) & (lattice.site_azimuth < TURN))
+    assert np.all((lattice.site_azimuth >= 0.0) & (lattice.site_azimuth < TAU))
     order = np.lexsort((lattice.site_azimuth, lattice.site_position[:, 2]))
     np.testing.assert_array_equal(order, np.arange(lattice.n_site))
     if lattice.n_level:
@@ -117,7 +117,7 @@ def test_default_lattice() -> None:
     assert (lattice.n_rod, lattice.n_node, lattice.n_site, lattice.n_level) == (12, 41, 54, 9)
     np.testing.assert_allclose(lattice.level_height, 0.1 * np.arange(9) / 8, rtol=1e-15)
     for level in range(9):
-        expected = (np.arange(6) + (level % 2) / 2) * TURN / 6
+        expected = (np.arange(6) + (level % 2) / 2) * TAU / 6
         np.testing.assert_allclose(lattice.site_azimuth[lattice.site_level == level], expected, atol=1e-15)
     np.testing.assert_array_equal(np.unique(lattice.site_node), np.arange(0, 41, 5))
     even = lattice.site_azimuth.reshape(9, 6)[::2]
@@ -173,8 +173,8 @@ def test_uneven_lattice_has_no_levels() -> None:
     assert (lattice.n_level, lattice.n_site) == (0, 4 * 9)
     # On the right-handed rod of phase 0: leads of 0, 1, pi, pi + 1, 2 pi, ... times T / (4 pi).
     rod = lattice.site_position[lattice.site_rod[:, 0] == 0, 2]
-    expected = np.array([0, 1, math.pi, math.pi + 1, TURN, TURN + 1, TURN + math.pi, TURN + math.pi + 1, 2 * TURN])
-    np.testing.assert_allclose(rod, design.period / (2 * TURN) * expected, atol=1e-15)
+    expected = np.array([0, 1, math.pi, math.pi + 1, TAU, TAU + 1, TAU + math.pi, TAU + math.pi + 1, 2 * TAU])
+    np.testing.assert_allclose(rod, design.period / (2 * TAU) * expected, atol=1e-15)
 
 
 @given(design=_designs())

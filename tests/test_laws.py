@@ -13,7 +13,7 @@ from lattice_gym.checks import FloatArray
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import LAWS, RodModel
-from lattice_gym.physics.laws.ball import Ball, BallLaw
+from lattice_gym.physics.laws.ball import BallLaw, RigidBall
 from lattice_gym.physics.laws.base import Generalised, Law
 from lattice_gym.physics.laws.contact import Contact, ContactLaw
 from lattice_gym.physics.laws.damping import DampingLaw, coefficients
@@ -45,8 +45,8 @@ PARTS: dict[type[Law], dict[str, Any]] = {
     LoadLaw: LOADS | {"lines": (Line(0, 1, 1, 2, 0.2, 1.0),)},
     GroundLaw: {"ground": Ground(stiffness=50.0, damping=0.5, static_friction=0.0, kinetic_friction=0.0),
                 "forces": LOADS["forces"]},
-    BallLaw: {"bolus": Ball(position=np.array([0.12, 0.03, 0.02]), radius=0.05, mass=0.3, stiffness=60.0, damping=0.8,
-                            force=(0.1, -0.2, 0.3))},
+    BallLaw: {"ball": RigidBall(position=np.array([0.12, 0.03, 0.02]), radius=0.05, mass=0.3, stiffness=60.0,
+                                damping=0.8, force=(0.1, -0.2, 0.3))},
     ContactLaw: {"contact": Contact(stiffness=70.0, damping=0.6)},
     DampingLaw: {"medium_drag": 0.4},
 }  # fmt: skip
@@ -82,8 +82,8 @@ def _shaken(model: RodModel, seed: int) -> RodState:
         velocity=0.5 * rng.standard_normal(rest.velocity.shape),
         directors=_turned(rest.directors, 0.2 * rng.standard_normal(rest.omega.shape)),
         omega=3.0 * rng.standard_normal(rest.omega.shape),
-        bolus_velocity=0.5 * rng.standard_normal(rest.bolus_velocity.shape),
-        bolus_omega=3.0 * rng.standard_normal(rest.bolus_omega.shape),
+        ball_velocity=0.5 * rng.standard_normal(rest.ball_velocity.shape),
+        ball_omega=3.0 * rng.standard_normal(rest.ball_omega.shape),
     )
 
 
@@ -93,7 +93,7 @@ def _drifted(state: RodState) -> RodState:
         state,
         position=state.position + 0.5 * DT * state.velocity,
         directors=_turned(state.directors, 0.5 * DT * state.omega),
-        bolus_position=state.bolus_position + 0.5 * DT * state.bolus_velocity,
+        ball_position=state.ball_position + 0.5 * DT * state.ball_velocity,
     )
 
 
@@ -105,11 +105,11 @@ def _changes(engine_name: EngineName, model: RodModel, state: RodState, tension:
     after = engine.state
     side = _drifted(state).position
     length = np.linalg.norm(side[model.lower_node + 1] - side[model.lower_node], axis=1)
-    inertia = (model.of_rods("inertia") * model.of_rods("rest_length") / length)[:, None] * [1.0, 1.0, 2.0]
+    inertia = (model.rod_array("inertia") * model.rod_array("rest_length") / length)[:, None] * [1.0, 1.0, 2.0]
     mass = model.node_mass[:, None], inertia, np.reshape([ball.mass for ball in model.balls], (-1, 1))
     moved = zip(mass, Generalised.split(model, coefficients(model)),
                 ((state.velocity, after.velocity), (state.omega, after.omega),
-                 (state.bolus_velocity, after.bolus_velocity)), strict=True)  # fmt: skip
+                 (state.ball_velocity, after.ball_velocity)), strict=True)  # fmt: skip
     return Generalised(*(m * (new * np.exp(c * DT / m) - old) / DT for m, c, (old, new) in moved))
 
 
@@ -162,7 +162,7 @@ def test_friction_of_the_ground_follows_the_formula(
     state = replace(state, velocity=state.velocity + speed * np.array([*direction, 0.0]))
     law = next(law for law in model.laws if isinstance(law, GroundLaw))
     normal = law.force(_drifted(state), np.zeros(0)).node[:, 2]
-    expected = ground.slowed(state.velocity[:, :2], normal, DT / model.node_mass, np.array([1.0, 0.0, 0.0]))
+    expected = ground.apply_friction(state.velocity[:, :2], normal, DT / model.node_mass, np.array([1.0, 0.0, 0.0]))
     engine = simulate(engine_name, model, DT)
     engine.restore(state)
     engine.advance([], 1)

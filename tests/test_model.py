@@ -14,7 +14,7 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.physics.assembly import Clamp, RodModel
-from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.joints import Joint
 from lattice_gym.physics.laws.lines import Line
@@ -278,8 +278,8 @@ def test_a_world_around_the_lattice(kind: str) -> None:
 def test_lines_hold_no_ball() -> None:
     """They touch nothing: a ball would pass through them."""
     lattice = build_lattice(LatticeDesign(muscle_model="line"))
-    with pytest.raises(ValueError, match=r'^design.muscle_model = "line": world.bolus needs muscles as rods'):
-        build_model(lattice, named_layout("all", lattice), World(bolus=Bolus(radius=0.02)))
+    with pytest.raises(ValueError, match=r'^design.muscle_model = "line": world.ball needs muscles as rods'):
+        build_model(lattice, named_layout("all", lattice), World(ball=Ball(radius=0.02)))
 
 
 def test_node_radii() -> None:

@@ -28,7 +28,7 @@ from lattice_gym.body.muscles import (
     tie,
     vertical,
 )
-from lattice_gym.checks import TURN, FloatArray, IntArray, wrap_angle
+from lattice_gym.checks import TAU, FloatArray, IntArray, wrap_angle
 
 LATTICE = build_lattice(LatticeDesign())
 UNEVEN = build_lattice(LatticeDesign(n_pairs=3, phases=(0.0, 1.0, 3.0) * 2, period_ratio=2.0))
@@ -129,7 +129,7 @@ def test_horizontal_levels() -> None:
             horizontal(LATTICE, levels)
 
 
-@pytest.mark.parametrize("azimuth", [0.0, TURN / 12, 2.0, math.pi])
+@pytest.mark.parametrize("azimuth", [0.0, TAU / 12, 2.0, math.pi])
 def test_bending_layout(azimuth: float) -> None:
     """Muscles along on the side bent to, around on the other, and a mirror image across the plane of bending."""
     layout = bending_layout(LATTICE, azimuth)
@@ -149,7 +149,7 @@ def test_bending_layout(azimuth: float) -> None:
 
 def test_bending_layout_turns_with_its_azimuth() -> None:
     """A sixth of a turn later the muscles are the next ones round."""
-    one, other = bending_layout(LATTICE), bending_layout(LATTICE, TURN / 6)
+    one, other = bending_layout(LATTICE), bending_layout(LATTICE, TAU / 6)
     assert named_layout("bending", LATTICE) == one
     turned = {tuple(sorted(6 * (site // 6) + (site + 1) % 6 for site in muscle.sites)) for muscle in one.active}
     assert turned == {tuple(sorted(muscle.sites)) for muscle in other.active}
@@ -207,9 +207,9 @@ def test_select_and_switch() -> None:
     assert layout.select(LATTICE, levels=range(7, 9)).sum() == 12
     assert layout.select(LATTICE, "vertical", azimuth=(0.0, 0.0)).sum() == 4
     assert layout.select(LATTICE, "horizontal", azimuth=(math.pi / 6, math.pi / 6)).sum() == 4
-    mask = layout.select(LATTICE, "vertical", [2], (TURN, 1.1))
+    mask = layout.select(LATTICE, "vertical", [2], (TAU, 1.1))
     assert {round(value, 9) for value in _ends(layout.switched(mask), LATTICE.site_azimuth).ravel()} == {
-        round(value % TURN, 9) for value in (-math.pi / 3, 0.0, math.pi / 3)
+        round(value % TAU, 9) for value in (-math.pi / 3, 0.0, math.pi / 3)
     }
     some = layout.switched(mask)
     assert len(some) == 3

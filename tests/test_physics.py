@@ -10,9 +10,9 @@ import pytest
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.critical_step import critical_dt
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.rod import rotation_between
-from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.verification.bar import bar
 from lattice_gym.verification.case import Case, Outcome, Reading, advance_by, difference, run
 from lattice_gym.verification.cases import CASES
@@ -116,7 +116,7 @@ def test_a_straight_rod_takes_its_natural_curvature(engine_name: EngineName) -> 
     rod = bar(12, rate=20.0)
     natural = np.tile((0.5, -0.3, 0.4), (11, 1))
     model = RodModel(rods=(replace(rod, natural_curvature=natural),))
-    engine = simulate(engine_name, model, 0.5 * stable_dt(model))
+    engine = simulate(engine_name, model, 0.5 * critical_dt(model))
     advance_by(engine, 4.0)
     directors = engine.state.directors
     assert np.abs(rotation_between(directors[:-1], directors[1:]) / rod.rest_voronoi[:, None] - natural).max() < 1e-7

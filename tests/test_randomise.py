@@ -19,10 +19,10 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.envs.env import LatticeWormEnv
-from lattice_gym.envs.randomisation import BODY, NAMES, Randomisation, varied
+from lattice_gym.envs.randomisation import BODY, NAMES, Randomisation, apply_factors
 from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.physics.assembly import RodModel
-from lattice_gym.physics.stable_step import stable_dt
+from lattice_gym.physics.critical_step import critical_dt
 from lattice_gym.physics.worm import build_model
 
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
@@ -51,7 +51,7 @@ def test_a_body_with_factors_is_that_of_the_design_with_them(muscle_model: str, 
     scaled["rotational_damping"] = factors["damping"] * design.rotational_damping
     plain, expected = _model(design), _model(replace(design, **scaled))
     before = plain.node_damping.copy(), [rod.bend_stiffness.copy() for rod in plain.rods]
-    found = varied(plain, factors)
+    found = apply_factors(plain, factors)
     np.testing.assert_array_equal(plain.node_damping, before[0])
     np.testing.assert_allclose(found.node_damping, expected.node_damping, rtol=1e-12)
     np.testing.assert_array_equal(found.node_mass, expected.node_mass)
@@ -138,9 +138,11 @@ def test_the_default_step_is_that_of_the_worst_corner() -> None:
     env, plain = LatticeWormEnv(**QUICK, randomise=ranges), LatticeWormEnv(**QUICK)
     assert env.dt < plain.dt
     bodies = [{"structure_youngs_modulus": a, "muscle_youngs_modulus": b} for a in (0.5, 4.0) for b in (0.2, 1.0)]
-    limits = [stable_dt(varied(env.model, body), 2.0 * env.design.max_tension, env.splitting) for body in bodies]
+    limits = [
+        critical_dt(apply_factors(env.model, body), 2.0 * env.design.max_tension, env.splitting) for body in bodies
+    ]
     assert env.dt < min(limits)
-    with pytest.raises(ValueError, match=r"^dt = .*above the predicted stable"):
+    with pytest.raises(ValueError, match=r"^dt = .*above the critical time step"):
         LatticeWormEnv(**QUICK, randomise=ranges, dt=0.02 / int(0.02 / (1.01 * min(limits))))
 
 
@@ -170,7 +172,7 @@ def test_specs_survive_json() -> None:
     [
         (1.0, r"^randomise = 1.0: must be a mapping"),
         ({"mass": (1.0, 2.0)}, r"^randomise: there is no 'mass'; there are structure_youngs_modulus, "),
-        ({"damping": 1.0}, r"^randomise\['damping'\] = 1.0: must be a pair of factors from 0.01 to 100"),
+        ({"damping": 1.0}, r"^randomise\['damping'\] = 1.0: must be a sequence of 2 factors from 0.01 to 100"),
         ({"damping": (2.0, 1.0)}, r"^randomise\['damping'\]"),
         ({"damping": (0.0, 1.0)}, r"^randomise\['damping'\]"),
         ({"damping": (1.0, 101.0)}, r"^randomise\['damping'\]"),

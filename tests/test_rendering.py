@@ -25,7 +25,7 @@ from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout, tie
 from lattice_gym.checks import FloatArray
 from lattice_gym.physics.assembly import RodModel
-from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
@@ -214,29 +214,29 @@ def test_free_worm_has_no_plate() -> None:
 
 def test_ball_is_where_it_is_said_to_be(lattice: Lattice, model: RodModel) -> None:
     """By default where it starts; nowhere without one, and then a place for it is refused."""
-    ball = build_model(lattice, named_layout("all", lattice), World(bolus=Bolus(level=2.0)))
-    x, start = rest_of(model), ball.rest_state().bolus_position
+    ball = build_model(lattice, named_layout("all", lattice), World(ball=Ball(level=2.0)))
+    x, start = rest_of(model), ball.rest_state().ball_position
     blue = []
     for centre in (None, start, start + np.array([0.0, 0.0, 0.04])):
-        picture = render_frame(lattice, ball, x, size=SIZE, bolus=centre).astype(int)
+        picture = render_frame(lattice, ball, x, size=SIZE, ball=centre).astype(int)
         blue.append(picture[..., 2] - picture[..., 0] > 25)
     assert blue[0].any()
     assert np.array_equal(blue[0], blue[1])
     rows = [np.flatnonzero(mask.any(axis=1)).mean() for mask in blue]
     assert rows[2] < rows[0] - 5.0
     for wrong, centre in ((model, start), (ball, start[0]), (ball, np.full((1, 3), np.nan))):
-        with pytest.raises(ValueError, match="bolus"):
-            render_frame(lattice, wrong, x, size=SIZE, bolus=centre)
+        with pytest.raises(ValueError, match="ball"):
+            render_frame(lattice, wrong, x, size=SIZE, ball=centre)
 
 
 def test_nothing_hides_a_ball(lattice: Lattice) -> None:
     """It shines through the rods, and where it comes out at the base there is a hole in the plate."""
-    world = World(bolus=Bolus(radius=0.03, level=2.0))
+    world = World(ball=Ball(radius=0.03, level=2.0))
     ball = build_model(lattice, named_layout("all", lattice), world)
     x = rest_of(ball)
     with Renderer(lattice, ball, (320, 240)) as renderer:
         for height in (0.05, -0.01):
-            pictures = [renderer.update(x, bolus=[[0.0, 0.0, z]]).astype(int) for z in (height, 1e3)]
+            pictures = [renderer.update(x, ball=[[0.0, 0.0, z]]).astype(int) for z in (height, 1e3)]
             changed = (np.abs(pictures[0] - pictures[1]).sum(axis=2) > 20).sum()
             disc = np.pi * (0.03 * renderer.pixels_per_metre) ** 2
             assert changed == pytest.approx(disc, rel=0.1)

@@ -40,7 +40,7 @@ def _apart(arguments: Mapping[str, Any], n_envs: int) -> VecEnv:
     return DummyVecEnv([lambda: Monitor(make_env(arguments))] * n_envs)
 
 
-def _copied(values: Any) -> Any:
+def _copy(values: Any) -> Any:
     return {name: part.copy() for name, part in values.items()} if isinstance(values, dict) else values.copy()
 
 
@@ -89,7 +89,7 @@ def test_worms_together_are_worms_apart(arguments: dict[str, Any]) -> None:
                 _assert_same(info, terms if arguments["id"] == GOAL else {})
         _assert_same(together.unwrapped.reset_infos, apart.reset_infos)
         ended += dones
-        kept.append((seen, _copied(seen)))
+        kept.append((seen, _copy(seen)))
     assert (ended >= 2).all()
     for seen, then in kept:  # what the learner holds is its own
         _assert_same(seen, then)

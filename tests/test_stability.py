@@ -1,4 +1,4 @@
-"""The predicted stable step, held against what the engine bears."""
+"""The predicted critical step, held against what the engine bears."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.critical_step import DT_MARGIN, SAFETY, _largest_eigenvalue, critical_dt, default_dt
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
@@ -29,7 +30,6 @@ from lattice_gym.physics.laws.lines import Line
 from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.laws.muscles import contraction
 from lattice_gym.physics.rod import straight_rod
-from lattice_gym.physics.stable_step import DT_MARGIN, SAFETY, _largest_eigenvalue, default_dt, stable_dt
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
@@ -60,7 +60,7 @@ def measured_dt(
     model: RodModel, splitting: Splitting = "pyelastica", state: RodState | None = None, tension: float = 0.0
 ) -> float:
     """Largest step that holds still, by bisection to 1 %."""
-    low = high = 0.5 * stable_dt(model, splitting=splitting)
+    low = high = 0.5 * critical_dt(model, splitting=splitting)
     state = model.rest_state() if state is None else state
     while holds_still(model, high, splitting, state, tension):
         low, high = high, 1.5 * high
@@ -74,7 +74,7 @@ def measured_dt(
 
 def assert_exact(model: RodModel, splitting: Splitting = "pyelastica") -> None:
     """Around rest the computed limit, before the safety, is the measured one to 2 %."""
-    assert stable_dt(model, splitting=splitting) / SAFETY == pytest.approx(measured_dt(model, splitting), rel=0.02)
+    assert critical_dt(model, splitting=splitting) / SAFETY == pytest.approx(measured_dt(model, splitting), rel=0.02)
 
 
 @pytest.mark.parametrize(("n_elem", "radius"), [(2, 0.05), (4, 0.05), (20, 0.05), (20, 0.005), (10, 0.2)])
@@ -90,7 +90,7 @@ def test_a_rod_by_formula(radius: float) -> None:
     bend, deflect, turn = 1e6 / 0.01**2, 27.0 / 28.0 * 4e5 / 0.01**2, 27.0 / 28.0 * 4e5 / radius**2
     trace = bend + deflect + turn
     square = 2.0 / 1e3 * (trace + math.sqrt(trace**2 - 4.0 * deflect * bend))
-    assert stable_dt(model) == pytest.approx(SAFETY * 2.0 / math.sqrt(square), rel=2e-3)
+    assert critical_dt(model) == pytest.approx(SAFETY * 2.0 / math.sqrt(square), rel=2e-3)
 
 
 def star(n_arm: int, stiffness: float, damping: float = 0.0) -> RodModel:
@@ -105,14 +105,14 @@ def test_springs_on_one_node(n_arm: int) -> None:
     """With n nodes of mass m on stiff springs to one the highest squared frequency is n k / m."""
     model = star(n_arm, 1e6)
     exact = 2.0 / math.sqrt(n_arm * 1e6 / model.rods[0].mass[0])
-    assert stable_dt(model) == pytest.approx(SAFETY * exact, rel=1e-3)
+    assert critical_dt(model) == pytest.approx(SAFETY * exact, rel=1e-3)
     assert_exact(model)
 
 
 @pytest.mark.parametrize("damping", [30.0, 300.0, 3000.0])
 def test_dashpots(damping: float) -> None:
     """Dashpots see the velocity before the kick, and lower the limit."""
-    assert stable_dt(star(3, 1e6, damping)) < stable_dt(star(3, 1e6))
+    assert critical_dt(star(3, 1e6, damping)) < critical_dt(star(3, 1e6))
     assert_exact(star(3, 1e6, damping))
 
 
@@ -126,7 +126,7 @@ def test_the_ground(splitting: Splitting, stiffness: float, damping: float) -> N
     )
     rest = model.rest_state()
     sunk = rest.position + model.node_weight / stiffness
-    limit = stable_dt(model, splitting=splitting) / SAFETY
+    limit = critical_dt(model, splitting=splitting) / SAFETY
     assert limit == pytest.approx(measured_dt(model, splitting, replace(rest, position=sunk)), rel=0.02)
     spring, dashpot = stiffness / rod.mass[0], damping / rod.mass[0]
     assert limit == pytest.approx(4.0 / (math.sqrt(dashpot**2 + 4.0 * spring) + dashpot), rel=1e-3)
@@ -137,7 +137,7 @@ def test_never_above_the_measured_limit_on_the_ground(stiffness: float, ratio: f
     """A worm in water under random bang-bang activation, by factors on the default ground that shorten the step."""
     design = {"n_pairs": 3, "elements_per_segment": 2, "base": "free", "damping": 1e-3}
     limit = measure(Case("ground", design, world=lying(stiffness, ratio).to_dict()))
-    assert limit.predicted < 0.7 * stable_dt(worm(**design), LatticeDesign().max_tension)
+    assert limit.predicted < 0.7 * critical_dt(worm(**design), LatticeDesign().max_tension)
     assert 0.4 <= limit.ratio <= 1.0
 
 
@@ -150,7 +150,7 @@ def test_a_strong_fast_crawl(splitting: Splitting) -> None:
     ends = lattice.site_position[[[muscle.start, muscle.end] for muscle in layout.active], 2].mean(axis=1)
     phase = 2.0 * np.pi * ends / lattice.design.height
     phase += np.where([muscle.orientation == "vertical" for muscle in layout.active], np.pi, 0.0)
-    n_step, places = math.ceil(0.05 / stable_dt(model, 1.0, splitting)), []
+    n_step, places = math.ceil(0.05 / critical_dt(model, 1.0, splitting)), []
     assert 0.05 / n_step > 2e-4
     for refinement in (1, 4):
         engine = simulate("fused", model, 0.05 / n_step / refinement, splitting)
@@ -165,7 +165,7 @@ def test_lines() -> None:
     """A line is a spring along its length, with half its mass at either end."""
     rods = tuple(straight_rod((0, 0, z), (0, 1, z), 2, **SOFT) for z in (0, 1))
     model = RodModel(rods=rods, lines=(Line(0, 0, 1, 0, 1.0, 1e6, mass=0.5),))
-    assert stable_dt(model) == pytest.approx(SAFETY * 2.0 / math.sqrt(2e6 / model.node_mass[0]), rel=1e-3)
+    assert critical_dt(model) == pytest.approx(SAFETY * 2.0 / math.sqrt(2e6 / model.node_mass[0]), rel=1e-3)
     assert_exact(model)
 
 
@@ -190,13 +190,13 @@ def test_dampers_raise_the_limit(splitting: Splitting) -> None:
     soft = {"n_pairs": 3, "elements_per_segment": 2}
     for damping, spin in ((10.0, 0.0), (10.0, 1e-5)):
         damped = worm(**soft, damping=damping, rotational_damping=spin)
-        assert stable_dt(damped, splitting=splitting) > 1.01 * stable_dt(
+        assert critical_dt(damped, splitting=splitting) > 1.01 * critical_dt(
             worm(**soft, rotational_damping=0.0), splitting=splitting
         )
         assert_exact(damped, splitting)
     frozen = worm(**soft, damping=300.0, rotational_damping=3e-4)
     if splitting == "pyelastica":
-        assert stable_dt(frozen, splitting=splitting) == math.inf
+        assert critical_dt(frozen, splitting=splitting) == math.inf
         assert holds_still(frozen, 0.05, splitting, frozen.rest_state(), 0.0)
     else:
         assert_exact(frozen, splitting)
@@ -209,7 +209,7 @@ def test_heavy_dampers_by_formula() -> None:
     model = RodModel(rods=(rod,), clamps=(Clamp(0, node=0), Clamp(0, node=2)))
     exact = 2.0 * c / (2.0 * rod.stretch_stiffness[0] / 0.5)
     assert c * exact / rod.mass[1] > 1e6
-    assert stable_dt(model, splitting="symmetric") == pytest.approx(SAFETY * exact, rel=1e-2)
+    assert critical_dt(model, splitting="symmetric") == pytest.approx(SAFETY * exact, rel=1e-2)
 
 
 @pytest.mark.parametrize("splitting", ["pyelastica", "symmetric"])
@@ -218,7 +218,7 @@ def test_nothing_free(splitting: Splitting) -> None:
     rods = tuple(straight_rod((0, 0, z), (0, 1, z), 2, **SOFT) for z in (0, 1))
     clamps = tuple(Clamp(k, node, min(node, 1)) for k in range(2) for node in range(3))
     model = RodModel(rods=rods, clamps=clamps, joints=(Joint(0, 0, 1, 0, 1.0, 1.0),))
-    assert stable_dt(model, splitting=splitting) == math.inf
+    assert critical_dt(model, splitting=splitting) == math.inf
     assert default_dt(model, 0.05) == 0.05
 
 
@@ -227,7 +227,7 @@ def test_dampers_do_not_lengthen_the_default_step() -> None:
     soft = {"n_pairs": 3, "elements_per_segment": 2}
     steps = [default_dt(worm(**soft, damping=d, rotational_damping=1e-6 * d), 0.05, 0.5) for d in (0.0, 3.0, 300.0)]
     assert steps == [steps[0]] * 3
-    limit = stable_dt(worm(**soft, damping=0.0, rotational_damping=0.0), 0.5)
+    limit = critical_dt(worm(**soft, damping=0.0, rotational_damping=0.0), 0.5)
     assert 0.9 * DT_MARGIN * limit < steps[0] <= DT_MARGIN * limit
     assert 0.05 / steps[0] == pytest.approx(round(0.05 / steps[0]), abs=1e-9)
 
@@ -246,8 +246,8 @@ def test_a_contracted_muscle() -> None:
     model, state, length = contracted(stiffness)
     assert length == pytest.approx(0.5)
     limit = measured_dt(model, state=state, tension=stiffness)
-    assert limit < stable_dt(model, 0.0)
-    assert 0.4 * limit < stable_dt(model, stiffness) < limit
+    assert limit < critical_dt(model, 0.0)
+    assert 0.4 * limit < critical_dt(model, stiffness) < limit
     assert contraction(model, stiffness)[0] < length
 
 
@@ -276,16 +276,16 @@ def test_the_predicted_step_is_stable(muscle: str, hill: Hill, tension: float, s
     """
     model = isometric(muscle, hill)
     measured = measured_dt(model, splitting, tension=tension)
-    predicted = stable_dt(model, tension, splitting)
+    predicted = critical_dt(model, tension, splitting)
     assert 0.4 * measured < predicted < measured
 
 
 def test_a_fast_damper_shortens_the_step() -> None:
     """The slower the muscle, the stiffer the damper; a line more than halves the step."""
-    steps = [stable_dt(isometric("line", Hill(width=None, max_speed=v)), 20.0) for v in (1e9, 1.0, 0.1, 0.01)]
+    steps = [critical_dt(isometric("line", Hill(width=None, max_speed=v)), 20.0) for v in (1e9, 1.0, 0.1, 0.01)]
     assert steps == sorted(steps, reverse=True)
     assert steps[3] < 0.5 * steps[0]
-    assert steps[0] == pytest.approx(stable_dt(isometric("line", Hill(width=None, max_speed=None)), 20.0), rel=0.05)
+    assert steps[0] == pytest.approx(critical_dt(isometric("line", Hill(width=None, max_speed=None)), 20.0), rel=0.05)
 
 
 def test_contraction() -> None:
@@ -307,7 +307,7 @@ def test_contraction() -> None:
 def test_bad_tension(tension: float) -> None:
     """It is named."""
     with pytest.raises(ValueError, match="max_tension"):
-        stable_dt(star(2, 1.0), tension)
+        critical_dt(star(2, 1.0), tension)
 
 
 def test_largest_eigenvalue() -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import MuscleLayout, horizontal, named_layout, tie
-from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.recording.files import replacing
@@ -45,7 +45,7 @@ def example(n_frame: int = 3, **changes: Any) -> Trajectory:
 
 def assert_same(a: Trajectory, b: Trajectory) -> None:
     """Fail unless two trajectories are equal to the last bit."""
-    for name in ("time", "position", "bolus", "activation", "reward", "markers"):
+    for name in ("time", "position", "ball", "activation", "reward", "markers"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), strict=True)
     assert (a.outcome, a.design, a.layout, a.task, a.world) == (b.outcome, b.design, b.layout, b.task, b.world)
 
@@ -113,7 +113,7 @@ def test_file_reads_without_pickle_or_this_package(saved: tuple[Path, Trajectory
     """Plain numpy opens it."""
     with np.load(saved[0], allow_pickle=False) as members:
         assert members["position"].shape == (3, N_NODE, 3)
-        assert json.loads(members["meta"].item())["version"] == 3
+        assert json.loads(members["meta"].item())["version"] == 4
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_file_reads_without_pickle_or_this_package(saved: tuple[Path, Trajectory
         ("outcome", ("", "", 3), r"\[2\] = 3: must be text"),
         ("task", None, "must be text"),
         ("world", {}, "must be World"),
-        ("bolus", np.zeros((3, 1, 3)), "has shape"),
+        ("ball", np.zeros((3, 1, 3)), "has shape"),
         ("markers", np.zeros(3), "has shape"),
         ("markers", np.full((1, 3), np.nan), "finite"),
         ("markers", "there", "array of real numbers"),
@@ -190,18 +190,18 @@ def test_recorder_copies_its_frames() -> None:
 
 def test_a_ball_is_kept(tmp_path: Path) -> None:
     """With the world that has one, through the file."""
-    recorder = Recorder(DESIGN, LAYOUT, "transport", World(bolus=Bolus(radius=0.01)))
+    recorder = Recorder(DESIGN, LAYOUT, "transport", World(ball=Ball(radius=0.01)))
     for k in range(2):
-        recorder.append(0.1 * k, np.zeros((N_NODE, 3)), np.zeros(len(LAYOUT)), bolus=[[0.0, 0.0, 0.5 * k]])
-    with pytest.raises(ValueError, match="bolus has shape"):
+        recorder.append(0.1 * k, np.zeros((N_NODE, 3)), np.zeros(len(LAYOUT)), ball=[[0.0, 0.0, 0.5 * k]])
+    with pytest.raises(ValueError, match="ball has shape"):
         recorder.append(0.2, np.zeros((N_NODE, 3)), np.zeros(len(LAYOUT)))
     trajectory = recorder.build()
     trajectory.save(tmp_path / "ball.npz")
     again = Trajectory.load(tmp_path / "ball.npz")
     assert_same(again, trajectory)
-    assert again.world.bolus == Bolus(radius=0.01)
-    assert again.bolus is not None
-    np.testing.assert_array_equal(again.bolus[:, 0, 2], [0.0, 0.5])
+    assert again.world.ball == Ball(radius=0.01)
+    assert again.ball is not None
+    np.testing.assert_array_equal(again.ball[:, 0, 2], [0.0, 0.5])
     with pytest.raises(ValueError, match=r"^Trajectory\.world = 'sea': must be World"):
         Recorder(DESIGN, LAYOUT, "transport", "sea")  # type: ignore[arg-type]
 
@@ -219,8 +219,22 @@ def test_markers_are_kept_and_older_files_have_none(saved: tuple[Path, Trajector
     rewrite(saved[0], old, markers=None, meta=edited(saved[0], version=2))
     assert_same(Trajectory.load(old), saved[1])
     rewrite(saved[0], old, markers=None)
-    with pytest.raises(ValueError, match=r"old\.npz.*version 3; must be version 2"):
+    with pytest.raises(ValueError, match=r"old\.npz.*version 4; must be version 2"):
         Trajectory.load(old)
+
+
+def test_the_ball_of_older_files_is_read(tmp_path: Path) -> None:
+    """Version 3 had another name for it."""
+    recorder = Recorder(DESIGN, LAYOUT, "transport", World(ball=Ball(radius=0.01)))
+    recorder.append(0.0, np.zeros((N_NODE, 3)), np.zeros(len(LAYOUT)), ball=[[0.0, 0.0, 0.5]])
+    trajectory, path = recorder.build(), tmp_path / "old.npz"
+    trajectory.save(path)
+    with np.load(path, allow_pickle=False) as members:
+        arrays: dict[str, Any] = dict(members)
+    meta = json.loads(arrays["meta"].item()) | {"version": 3}
+    meta["world"] = meta["world"].replace('"ball"', '"bolus"')
+    np.savez(path, **arrays | {"meta": np.array(json.dumps(meta)), "bolus": arrays.pop("ball")})
+    assert_same(Trajectory.load(path), trajectory)
 
 
 def test_recorder_refuses_a_frame_of_another_shape_or_not_finite() -> None:
@@ -283,7 +297,7 @@ def edited(path: Path, **changes: Any) -> Any:
         ({"time": np.array([0.0, 2.0, 1.0])}, "increase"),
         ({"reward": np.array([0.0, np.inf, 1.0])}, "finite"),
         ({"activation": np.zeros((3, 1))}, "shape"),
-        ({"bolus": np.zeros((3, 1, 3))}, "shape"),
+        ({"ball": np.zeros((3, 1, 3))}, "shape"),
         ({"meta": np.array("{")}, "sound"),
         ({"meta": np.array("[" * 100_000)}, "sound"),
         ({"meta": np.array("[]")}, "meta must be"),
@@ -315,7 +329,7 @@ def test_inconsistent_members_are_refused(
         ({"layout": {}}, "layout"),
         ({"world": {}}, "layout and world JSON text"),
         ({"world": '{"moon": 1}'}, "moon"),
-        ({"world": '{"bolus": {}}'}, "bolus has shape"),
+        ({"world": '{"ball": {}}'}, "ball has shape"),
         ({"layout": "{}"}, "layout"),
         ({"layout": '{"muscles": [3]}'}, "muscles"),
         ({"layout": json.dumps(MuscleLayout().to_dict())}, "shape"),
@@ -373,6 +387,6 @@ def test_save_replaces(saved: tuple[Path, Trajectory], tmp_path: Path) -> None:
 
 def test_it_says_what_it_holds() -> None:
     """In one line."""
-    text = repr(example(world=World(bolus=Bolus(radius=0.01)), bolus=np.zeros((3, 1, 3))))
+    text = repr(example(world=World(ball=Ball(radius=0.01)), ball=np.zeros((3, 1, 3))))
     counts = f"{N_NODE} nodes, {len(LAYOUT)} muscles, a ball, 0 markers"
     assert text == f"Trajectory(extension: 3 frames from 0 to 0.666667 s, {counts})"

@@ -25,7 +25,7 @@ from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.goal import LatticeWormGoalVectorEnv
 from lattice_gym.envs.scene import Scene
 from lattice_gym.envs.vector import LatticeWormVectorEnv
-from lattice_gym.tasks.base import LEAST_PENALTY
+from lattice_gym.tasks.base import MIN_PENALTY
 from lattice_gym.tasks.registry import TASKS
 
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
@@ -185,7 +185,7 @@ def test_a_worm_that_diverges_ends_alone(task: str, mode: AutoresetMode) -> None
     status = [str(info["status"][1]) for info in told]
     failed = next(k for k, line in enumerate(status) if line != "ok")
     assert re.fullmatch(r"(non_finite|overstretched|inverted) \(rod \d+, element \d+\)", status[failed])
-    assert told[failed]["reward_terms"]["divergence"][1] == -LEAST_PENALTY
+    assert told[failed]["reward_terms"]["divergence"][1] == -MIN_PENALTY
     if mode is AutoresetMode.NEXT_STEP:
         native.reset(seed=1)
         for action in pull:
@@ -205,13 +205,13 @@ def test_a_worm_that_does_not_step_earns_nothing() -> None:
     worms.restore(torn, 1)
     pull = np.full((3, scene.n_group), 0.5)
     first, _ = worms.step(pull), alone.step(pull[:1])
-    assert first.over.tolist() == worms.failed.tolist() == [False, True, False]
+    assert first.terminated.tolist() == worms.failed.tolist() == [False, True, False]
     assert first.reward[1] == -worms.task.penalty
     live, before = np.array([True, False, False]), worms.time
     for _ in range(2):
         result, expected = worms.step(pull, live), alone.step(pull[:1])
         assert result.reward.tolist() == [expected.reward[0], 0.0, 0.0]
-        assert not result.over.any()
+        assert not result.terminated.any()
     np.testing.assert_array_equal(worms.time[1:], before[1:])
     np.testing.assert_array_equal(worms.observe()[0][0], alone.observe()[0][0])
     assert worms.failed.tolist() == [False, True, False]
@@ -342,16 +342,16 @@ _N_ACTION = int(np.prod(_HOSTILE.single_action_space.shape or ()))
     ("call", "message"),
     [
         (lambda: _HOSTILE.reset(seed=-1), r"^seed = -1"),
-        (lambda: _HOSTILE.reset(seed=[1]), r"^seed: must be one number, or 2"),
-        (lambda: _HOSTILE.reset(seed=[1, "two"]), r"^seed = 'two'"),
+        (lambda: _HOSTILE.reset(seed=[1]), r"^seed = \[1\]: must be a sequence of 2 seeds"),
+        (lambda: _HOSTILE.reset(seed=[1, "two"]), r"^seed\[1\] = 'two'"),
         (lambda: _HOSTILE.reset(options={"reset_mask": [True, False]}), r"^options\['reset_mask'\]"),
         (lambda: _HOSTILE.reset(options={"reset_mask": np.zeros(2, dtype=bool)}), r"^options\['reset_mask'\]"),
         (lambda: _HOSTILE.reset(options={"radius": np.zeros(3)}), r"^options\['radius'\]: an array"),
         (lambda: _HOSTILE.reset(options={"radius": np.array([0.1, 9.0])}), r"^options\['radius'\] = 9.0"),
         (lambda: _HOSTILE.reset(seed=np.array(-1)), r"^seed = array\(-1\)"),
-        (lambda: _HOSTILE.reset(seed=np.zeros((2, 2))), r"^seed = array"),
+        (lambda: _HOSTILE.reset(seed=np.zeros((2, 2))), r"^seed\[0\] = array"),
         (lambda: _HOSTILE.reset(options={"radius": np.array([0.1, None])}), r"^options\['radius'\] = None"),
-        (lambda: _HOSTILE.reset(options={"speed": 1.0}), r"^options: reach commands no 'speed'"),
+        (lambda: _HOSTILE.reset(options={"speed": 1.0}), r"^options: there is no 'speed'"),
         (lambda: _HOSTILE.step(np.zeros(_N_ACTION)), r"^action: shape"),
         (lambda: _HOSTILE.step(np.full((2, _N_ACTION), np.nan)), r"^action: must not be NaN"),
         (lambda: _HOSTILE.step([["a"] * _N_ACTION] * 2), r"^action: must hold real numbers"),

@@ -44,7 +44,7 @@ class PlainEngine(Engine):
         dt, state = self.dt, drifted(state, 0.5 * self.dt)
         forces = [law.force(state, tension) for law in model.laws if not isinstance(law, DampingLaw)]
         length = np.linalg.norm(state.position[model.lower_node + 1] - state.position[model.lower_node], axis=1)
-        inertia = model.of_rods("inertia") * model.of_rods("rest_length") / length
+        inertia = model.rod_array("inertia") * model.rod_array("rest_length") / length
         masses = model.node_mass[:, None], inertia[:, None] * [1.0, 1.0, 2.0]
         kicked = []
         for k, (mass, speed) in enumerate(zip(masses, (state.velocity, state.omega), strict=True)):
@@ -52,7 +52,7 @@ class PlainEngine(Engine):
             early, late = damping_shares(decay, self.splitting)
             kicked.append(late * (early * speed + dt * sum(force[k] for force in forces) / mass))
         velocity, omega = kicked
-        velocity[model.held_nodes[0]], omega[model.held_elements[0]] = 0.0, 0.0
+        velocity[model.clamped_nodes[0]], omega[model.clamped_elements[0]] = 0.0, 0.0
         state = drifted(replace(state, velocity=velocity, omega=omega), 0.5 * dt)
         return replace(state, time=state.time + dt)
 
@@ -75,7 +75,7 @@ class PlainEngine(Engine):
 
 def refuse(model):
     """Refuse a model with a law that this engine lacks."""
-    for name in ("bolus", "ground"):
+    for name in ("ball", "ground"):
         if getattr(model, name) is not None:
             raise ValueError(f"engine = 'plain': cannot have {name}; take fused or pyelastica")
 

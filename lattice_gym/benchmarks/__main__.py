@@ -2,37 +2,38 @@
 
 from __future__ import annotations
 
-import math
 import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
 import tyro
 
+from lattice_gym.checks import Parameters, checked, choice, count, items, number
 from lattice_gym.engines.registry import ENGINES, EngineName
+
+_TENSION = partial(number, low=0.0, unit="N", above=True)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Paper:
+class Paper(Parameters):
     """The paper's three motions beside its Table 2."""
 
-    engine: EngineName = "fused"
+    engine: EngineName = checked("fused", choice, choices=ENGINES)
     """Name of the engine: fused or pyelastica."""
-    tension: tuple[float, ...] = (0.5, 1.0)
+    tension: tuple[float, ...] = checked((0.5, 1.0), items, each=_TENSION, what="tensions")
     """Tension in each muscle [N]; one table row a motion for each."""
     pictures: bool = True
     """Draw the final shapes."""
 
     def __post_init__(self) -> None:
-        """Check the engine's name and the tensions."""
-        if self.engine not in ENGINES:
-            raise ValueError(f"engine = {self.engine}: must be one of {', '.join(ENGINES)}")
-        if not self.tension or not all(math.isfinite(value) and value > 0.0 for value in self.tension):
-            raise ValueError(f"tension = {self.tension}: must be positive and finite")
+        super().__post_init__()
+        if not self.tension:
+            raise self._refused("tension", "must hold at least one")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,22 +60,15 @@ class WorkPrecision:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stability:
-    """The predicted stable step against the measured one."""
+class Stability(Parameters):
+    """The predicted critical step against the measured one."""
 
     quick: bool = False
     """Fewer cases: less than a minute."""
-    jobs: int = 2
+    jobs: int = count(2, 1, 64)
     """Processes, 1 to 64."""
-    seed: int = 1000
+    seed: int = count(1000)
     """Of the random designs; those below the default were looked at while the prediction was made."""
-
-    def __post_init__(self) -> None:
-        """Check the numbers."""
-        if not 1 <= self.jobs <= 64:
-            raise ValueError(f"jobs = {self.jobs}: must be 1 to 64")
-        if self.seed < 0:
-            raise ValueError(f"seed = {self.seed}: must be 0 or more")
 
 
 @dataclass(frozen=True, kw_only=True)

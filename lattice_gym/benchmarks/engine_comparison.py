@@ -16,7 +16,7 @@ from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import RodModel
-from lattice_gym.physics.stable_step import default_dt
+from lattice_gym.physics.critical_step import default_dt
 from lattice_gym.physics.worm import build_model
 
 FIELDS = {"position": "m", "velocity": "m/s", "directors": "1", "omega": "rad/s"}

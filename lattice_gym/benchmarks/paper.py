@@ -24,7 +24,7 @@ from lattice_gym.physics.state import RodState
 from lattice_gym.physics.worm import build_model
 from lattice_gym.rendering.figures import Still, render_strip
 
-LEAST_STRAIGHTNESS = 0.9
+MIN_STRAIGHTNESS = 0.9
 """A stretch of rod whose chord is shorter than this share of its length (relative to rest) counts as buckled."""
 
 
@@ -76,7 +76,7 @@ class Outcome:
         faults = []
         if self.joint_gap > LatticeDesign().structure_radius:
             faults.append("joint open by more than a rod's radius")
-        if self.straightness < LEAST_STRAIGHTNESS:
+        if self.straightness < MIN_STRAIGHTNESS:
             faults.append("rod buckled")
         return ", ".join(faults) or "held"
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lattice_gym.checks import (
-    TURN,
+    TAU,
     FloatArray,
     IntArray,
     Parameters,
@@ -36,8 +36,8 @@ Far above rounding, and far below anything that can be built.
 MIN_SEGMENT_SHARE = 0.05
 """Shortest segment allowed, as a share of the mean one.
 
-The stable time step falls with the shortest element: below this an uneven lattice would cost more than twenty times an
-even one.
+The critical time step falls with the shortest element: below this an uneven lattice would cost more than twenty times
+an even one.
 """
 MAX_PHASE = 1e3
 """Largest phase [rad]: beyond it double precision does not hold the closing tolerance with room to spare."""
@@ -63,7 +63,7 @@ class PhasePattern:
     def azimuth(self, rank: int) -> float:
         """Azimuth of a rank at the base [rad]; ranks beyond a turn go on counting up."""
         turn, index = divmod(rank, len(self.offset))
-        return self.offset[index] + TURN * turn / self.symmetry
+        return self.offset[index] + TAU * turn / self.symmetry
 
     def gaps(self) -> tuple[float, ...]:
         """Angles between neighbouring ranks [rad], over one repeat."""
@@ -86,7 +86,7 @@ class LatticeDesign(Parameters):
     """
 
     height: float = real(0.1, 1e-6, 1e3, "m")
-    """From the base to the tops of the rods [m]."""
+    """From the base to the tops of the rods [m]: the body length, in which distances and speeds are given."""
     diameter: float = real(0.075, 1e-6, 1e3, "m")
     """Of the cylinder on which the rods' centre lines lie [m]."""
     n_pairs: int = count(6, 2, MAX_ELEMENTS)
@@ -192,7 +192,7 @@ class LatticeDesign(Parameters):
         if self.phases is None:
             phases = np.empty(self.n_rod)
             for sign in (1, -1):
-                phases[self.rod_chirality == sign] = TURN / self.n_pairs * np.arange(self.n_pairs)
+                phases[self.rod_chirality == sign] = TAU / self.n_pairs * np.arange(self.n_pairs)
         else:
             phases = np.array(self.phases)
         phases.setflags(write=False)
@@ -210,10 +210,10 @@ class LatticeDesign(Parameters):
     def phase_pattern(self) -> PhasePattern:
         """Ranks and symmetry of the phases; coinciding rods, or a rod that meets none at the base, are a ValueError."""
         right, left = (np.flatnonzero(self.rod_chirality == sign) for sign in (1, -1))
-        angle = self.rod_phases % TURN
+        angle = self.rod_phases % TAU
         for hand, family in (("right", right), ("left", left)):
             order = family[np.argsort(angle[family], kind="stable")]
-            gap = np.diff(angle[order], append=angle[order[0]] + TURN)
+            gap = np.diff(angle[order], append=angle[order[0]] + TAU)
             closest = int(np.argmin(gap))
             if gap[closest] <= 2 * CLOSING_TOLERANCE:
                 pair = f"{order[closest]} and {order[(closest + 1) % self.n_pairs]}"
@@ -234,7 +234,7 @@ class LatticeDesign(Parameters):
         for symmetry in range(self.n_pairs, 0, -1):
             if self.n_pairs % symmetry == 0:
                 repeat = self.n_pairs // symmetry
-                shifted = np.append(base[repeat:], base[:repeat] + TURN) - TURN / symmetry
+                shifted = np.append(base[repeat:], base[:repeat] + TAU) - TAU / symmetry
                 if np.all(np.abs(shifted - base) <= CLOSING_TOLERANCE):
                     break
         return PhasePattern(tuple(base[:repeat].tolist()), symmetry, tuple(rank.tolist()))
@@ -272,7 +272,7 @@ class LatticeDesign(Parameters):
     def _check_room(self) -> None:
         """Crossings must not crowd, nor rods of one chirality overlap; other rods either cross or are further apart."""
         gap = min(self.phase_pattern.gaps())
-        share = gap * self.n_pairs / TURN
+        share = gap * self.n_pairs / TAU
         if share < MIN_SEGMENT_SHARE:
             bound = f"the shortest segment is {share:.3g} of the mean one, at least {MIN_SEGMENT_SHARE} is needed"
             raise self._refused("phases", bound)
@@ -287,7 +287,7 @@ class LatticeDesign(Parameters):
         A point and one further up the other rod, by which its lead shrinks to the angle a, are d apart,
         d^2 = diameter^2 sin^2(a/2) + (T/(2 pi))^2 (gap - a)^2. Its slope changes sign at most once within 0 < a < gap.
         """
-        pitch = self.period / TURN
+        pitch = self.period / TAU
         low, high = max(0.0, gap - self.height / pitch), gap
         for _ in range(100):
             middle = (low + high) / 2

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from lattice_gym.body.design import LatticeDesign
-from lattice_gym.checks import TURN, FloatArray, IntArray
+from lattice_gym.checks import TAU, FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,12 +87,12 @@ def build_lattice(design: LatticeDesign) -> Lattice:
     (turn_a, index_a), (turn_b, index_b) = np.divmod(start, repeat), np.divmod(start + step, repeat)
     offset = np.array(pattern.offset)
     # Offsets and turns are kept apart so that equal heights and azimuths come out equal to the last bit.
-    lead = (offset[index_b] - offset[index_a]) / TURN * pattern.symmetry + (turn_b - turn_a)
+    lead = (offset[index_b] - offset[index_a]) / TAU * pattern.symmetry + (turn_b - turn_a)
     height = design.height * (lead / (n_segment // repeat))
     azimuth = (offset[index_a] + offset[index_b]) / 2 + math.pi / pattern.symmetry * (
         (turn_a + turn_b) % (2 * pattern.symmetry)
     )
-    azimuth = azimuth % TURN
+    azimuth = azimuth % TAU
     rod_of = np.empty((2, n_pairs), dtype=np.int64)  # row 0: right-handed, row 1: left-handed
     for row, sign in enumerate((1, -1)):
         family = np.flatnonzero(design.rod_chirality == sign)
@@ -129,7 +129,7 @@ def _rods(design: LatticeDesign, height: FloatArray, crossing: FloatArray) -> tu
     z = height[:, :-1, None] + np.diff(height)[:, :, None] * share
     z = np.concatenate([z.reshape(design.n_rod, -1), height[:, -1:]], axis=1)
     phase = np.array([design.phase_pattern.azimuth(rank) for rank in design.phase_pattern.rank])
-    angle = phase[:, None] + design.rod_chirality[:, None] * (TURN / design.period) * z
+    angle = phase[:, None] + design.rod_chirality[:, None] * (TAU / design.period) * z
     radius = design.diameter / 2
     position = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=2)
     position[:, ::count] = crossing  # the same numbers on both rods of a site

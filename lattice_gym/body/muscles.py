@@ -15,15 +15,15 @@ import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.checks import (
-    TURN,
+    TAU,
     FloatArray,
     IntArray,
     choice,
     flag,
     instance,
+    invalid_value,
     items,
     number,
-    refused,
     require,
     whole,
     wrap_angle,
@@ -56,7 +56,7 @@ class Muscle:
         object.__setattr__(self, "start", whole("Muscle.start", self.start, 0))
         object.__setattr__(self, "end", whole("Muscle.end", self.end, 0))
         if self.start == self.end:
-            raise refused("Muscle.end", self.end, "must differ from start, or the muscle has no length")
+            raise invalid_value("Muscle.end", self.end, "must differ from start, or the muscle has no length")
         object.__setattr__(self, "on", flag("Muscle.on", self.on))
 
     @property
@@ -122,7 +122,7 @@ class MuscleLayout:
         if azimuth is not None:
             centre, half_width = items("azimuth", azimuth, _angle, 2, "angles [rad]: centre and half width")
             if half_width < 0.0:
-                raise refused("azimuth", azimuth, "the half width must not be negative [rad]")
+                raise invalid_value("azimuth", azimuth, "the half width must not be negative [rad]")
             apart = np.abs(wrap_angle(lattice.site_azimuth[sites] - centre))
             mask &= np.all(apart <= half_width + AZIMUTH_TOLERANCE, axis=1)
         return mask
@@ -142,7 +142,7 @@ class MuscleLayout:
     def from_dict(cls, values: Mapping[str, Any]) -> MuscleLayout:
         """Layout from its dict form."""
         if not isinstance(values, Mapping) or set(values) != {"muscles"}:
-            raise refused("muscles", values, 'a layout as a mapping must be {"muscles": [...]}')
+            raise invalid_value("muscles", values, 'a layout as a mapping must be {"muscles": [...]}')
         return cls(items("muscles", values["muscles"], _muscle_of, what="mappings"))
 
 
@@ -154,7 +154,7 @@ def _muscle_of(name: str, value: Any) -> Muscle:
     try:
         return Muscle(**value)
     except TypeError:
-        raise refused(name, value, "must be a mapping of orientation, start, end, on") from None
+        raise invalid_value(name, value, "must be a mapping of orientation, start, end, on") from None
 
 
 def horizontal(lattice: Lattice, levels: Iterable[int] | None = None) -> MuscleLayout:
@@ -178,7 +178,7 @@ def vertical(lattice: Lattice, span: int = 2) -> MuscleLayout:
     highest = lattice.n_level - 1
     if (levels := whole("span", span)) % 2 or not 2 <= levels <= highest:
         must = f"a vertical muscle spans an even number of levels, from 2 to the {highest} there are"
-        raise refused("span", span, must)
+        raise invalid_value("span", span, must)
     muscles: list[Muscle] = []
     for level in range(lattice.n_level - levels):
         lower, upper = (np.flatnonzero(lattice.site_level == at) for at in (level, level + levels))
@@ -313,10 +313,10 @@ def _partition(control: Sequence[int] | IntArray, n_muscle: int) -> IntArray:
 def _columns(azimuth: FloatArray) -> IntArray:
     """Column of each muscle: those whose middles share an azimuth; azimuths of both ends [rad], shape (n, 2)."""
     start, end = azimuth.T
-    middle = (start + wrap_angle(end - start) / 2) % TURN
+    middle = (start + wrap_angle(end - start) / 2) % TAU
     order = np.argsort(middle, kind="stable")
     column = np.empty(len(middle), dtype=np.int64)
     column[order] = np.cumsum(np.diff(middle[order], prepend=middle[order[0]]) > AZIMUTH_TOLERANCE)
-    if middle[order[0]] + TURN - middle[order[-1]] <= AZIMUTH_TOLERANCE:
+    if middle[order[0]] + TAU - middle[order[-1]] <= AZIMUTH_TOLERANCE:
         column[column == column.max()] = 0
     return column

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy.typing as npt
 
-from lattice_gym.checks import FloatArray, array, optional, refused, shown, whole
+from lattice_gym.checks import FloatArray, array, brief, invalid_value, optional, whole
 from lattice_gym.physics.assembly import RodModel
 
 MAX_STEPS = 2**62
@@ -17,7 +17,7 @@ MAX_STEPS = 2**62
 def models_of_one_shape(models: Sequence[RodModel]) -> list[RodModel]:
     """Models as a list, if there is one at least and all are of one shape, see `difference_in_shape`."""
     if not isinstance(models, Sequence) or len(models) == 0 or not isinstance(models[0], RodModel):
-        raise refused("models", models, "must be a sequence of RodModel, at least one")
+        raise invalid_value("models", models, "must be a sequence of RodModel, at least one")
     for worm, model in enumerate(models):
         if (differs := difference_in_shape(models[0], model)) is not None:
             raise ValueError(f"models[{worm}]: must have the shape of models[0], but differs in {differs}")
@@ -31,13 +31,13 @@ def difference_in_shape(model: RodModel, other: object) -> str | None:
     differ.
     """
     if not isinstance(other, RodModel):
-        return f"being {shown(other)}, no RodModel"
+        return f"being {brief(other)}, no RodModel"
     parts: dict[str, Callable[[RodModel], object]] = {
         "the elements of its rods": lambda x: [rod.n_elem for rod in x.rods],
         "what its joints join": lambda x: [(t.rod_a, t.node_a, t.rod_b, t.node_b) for t in x.joints],
         "what its lines join": lambda x: [(t.rod_a, t.node_a, t.rod_b, t.node_b) for t in x.lines],
         "its muscles": lambda x: x.muscles,
-        "having a ball or not": lambda x: x.n_bolus,
+        "having a ball or not": lambda x: x.n_ball,
     }
     return next((name for name, part in parts.items() if part(model) != part(other)), None)
 
@@ -54,7 +54,7 @@ def available_cores() -> int:
 
 def tension_ramp(tension: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
     """Tensions at the start and the end of a call [N], both of the given shape."""
-    pull = array("tension", tension, low=0.0, unit="N")
-    if pull.shape not in (shape, (2, *shape)):
-        raise ValueError(f"tension has shape {pull.shape}: must have {shape} or {(2, *shape)}")
-    return (pull[0], pull[1]) if pull.ndim > len(shape) else (pull, pull)
+    given = array("tension", tension, low=0.0, unit="N")
+    if given.shape not in (shape, (2, *shape)):
+        raise ValueError(f"tension has shape {given.shape}: must have {shape} or {(2, *shape)}")
+    return (given[0], given[1]) if given.ndim > len(shape) else (given, given)

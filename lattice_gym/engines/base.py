@@ -1,11 +1,11 @@
 """What an engine is: it advances worms of one shape in time, all with one time step.
 
-Engines take steps of position Verlet: half a drift; all forces of that instant (internal, muscle tension, joints,
-lines, weights and point loads, the ball's push, rods that touch, then the ground's normal force, with the velocities
-before the kick); a full kick, clamps; the friction of the ground, then that of the ball, on the velocities that all
-this leaves; half a drift. Damping follows the kick, as in PyElastica 1.0.0, or goes along with it (see `Splitting`),
-but comes before friction. Friction acts on the centre line: a rod that rolls on the spot is not held, as rods of a
-lattice do not roll.
+A step of position Verlet is half a drift, a kick, friction and half a drift. The kick takes all forces at that instant,
+with the velocities before it: internal forces, muscle tension, joints, lines, weights and point loads, contact of the
+ball and of rods, and the ground's normal force. Clamps come next, then the friction of the ground and that of the ball,
+each on the velocities left so far. Damping follows the kick, as in PyElastica 1.0.0, or acts along with it (see
+`Splitting`), always before friction. Friction acts on the centre line, so it does not resist a rod that rolls on the
+spot; rods of a lattice do not roll.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from lattice_gym.engines.arguments import (
 )
 from lattice_gym.engines.energy_audit import EnergyAudit
 from lattice_gym.engines.health import Health
-from lattice_gym.engines.step_doubling import StepComparison
+from lattice_gym.engines.step_doubling import StepDoubling
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow, Ledger
 from lattice_gym.physics.laws.damping import Splitting
@@ -37,7 +37,7 @@ from lattice_gym.physics.state import RodState
 class Engine(ABC):
     """Advances worms of one shape, each of which moves to the last bit as it would alone.
 
-    What one does, diverging included, no other feels. A subclass takes the same arguments and gives `_advance`,
+    No worm affects another, not even one that diverges. A subclass takes the same arguments and gives `_advance`,
     `_health`, `_state`, `_restore`, `_replace` and `_flow`; all else is here: checks of arguments, what worms show, the
     energy ledger, and step doubling.
 
@@ -53,7 +53,7 @@ class Engine(ABC):
     energy_check
         Keep an energy ledger over every call, and fail where too much energy is spurious.
     step_check
-        Take along every worm at half the step, and fail where it goes elsewhere: three times the cost.
+        Step doubling: run every worm at half the step too, and fail where both differ; three times the cost.
     num_threads
         How many threads at most advance the worms; None: as many as there are cores for this process.
 
@@ -67,8 +67,8 @@ class Engine(ABC):
         Time step [s].
     position, velocity
         Of the nodes [m], [m/s], shape (n_worm, n_node, 3), written in place: as of the last sound moment of each worm.
-    bolus_position, bolus_velocity
-        Of the balls [m], [m/s], shape (n_worm, n_bolus, 3), likewise.
+    ball_position, ball_velocity
+        Of the balls [m], [m/s], shape (n_worm, n_ball, 3), likewise.
 
     Raises
     ------
@@ -95,15 +95,15 @@ class Engine(ABC):
         self.num_threads = thread_count(num_threads)
         model = self.models[0]
         self.position, self.velocity = np.zeros((2, self.n_worm, model.n_node, 3))
-        self.bolus_position, self.bolus_velocity = np.zeros((2, self.n_worm, model.n_bolus, 3))
+        self.ball_position, self.ball_velocity = np.zeros((2, self.n_worm, model.n_ball, 3))
         for worm, model in enumerate(self.models):
             self._show(worm, model.rest_state())
         self._failures: dict[int, Health] = {}
         self._audits = [EnergyAudit(model) for model in self.models] if energy_check else []
-        self._comparisons = [StepComparison(model) for model in self.models] if step_check else []
-        self._finer: Engine | None = None
+        self._comparisons = [StepDoubling(model) for model in self.models] if step_check else []
+        self._half_step: Engine | None = None
         if step_check:
-            self._finer = type(self)(self.models, 0.5 * self.dt, splitting, num_threads=num_threads)
+            self._half_step = type(self)(self.models, 0.5 * self.dt, splitting, num_threads=num_threads)
 
     def advance(self, tension: npt.ArrayLike, n_substeps: int) -> IntArray:
         """Advance every worm by n_substeps * dt; return the codes of their `Status`, shape (n_worm,).
@@ -125,21 +125,21 @@ class Engine(ABC):
         """
         start, end = tension_ramp(tension, (self.n_worm, self.models[0].n_muscle))
         count = whole("n_substeps", n_substeps, 1, MAX_STEPS)
-        if self._audits or self._finer is not None:
+        if self._audits or self._half_step is not None:
             return self._advance_checked(start, end, count)
         codes = np.array(self._advance(start, end, count), np.int64)
         self._failures = {worm: self._health(worm) for worm in np.flatnonzero(codes).tolist()}
         return codes
 
     def _advance_checked(self, start: FloatArray, end: FloatArray, n_substeps: int) -> IntArray:
-        """Advance with the checks that are on: a worm that fails one shows where it was before the call."""
+        """Advance with the checks that are on; a worm that fails one keeps showing its state before the call."""
         for worm, audit in enumerate(self._audits):
             if not audit.is_open:
                 audit.open(self._state(worm))
-        arrays = self.position, self.velocity, self.bolus_position, self.bolus_velocity
+        arrays = self.position, self.velocity, self.ball_position, self.ball_velocity
         before = [array.copy() for array in arrays]
         codes = np.array(self._advance(start, end, n_substeps), np.int64)
-        finer = None if self._finer is None else self._finer._advance(start, end, 2 * n_substeps)
+        finer = None if self._half_step is None else self._half_step._advance(start, end, 2 * n_substeps)
         self._failures = {}
         for worm in range(self.n_worm):
             if codes[worm] != 0:
@@ -153,14 +153,14 @@ class Engine(ABC):
                     array[worm] = shown[worm]
         return codes
 
-    def _checked(self, worm: int, finer_failed: bool) -> Health:
+    def _checked(self, worm: int, half_step_failed: bool) -> Health:
         """Judge a worm whose call ended in a state."""
         state, health = self._state(worm), Health()
         if self._audits:
             health = self._audits[worm].close(state, self._flow(worm))
-        if self._finer is not None:
-            ended = self._finer._health(worm) if finer_failed else Health()
-            compared = self._comparisons[worm].compare(state, self._finer._state(worm), ended)
+        if self._half_step is not None:
+            ended = self._half_step._health(worm) if half_step_failed else Health()
+            compared = self._comparisons[worm].compare(state, self._half_step._state(worm), ended)
             health = compared if health.ok else health
         return health
 
@@ -173,7 +173,7 @@ class Engine(ABC):
         return self._state(worm)
 
     def restore(self, worm: int, state: RodState) -> None:
-        """Take over the state of a worm; going on from it gives to the last bit what the engine that gave it would.
+        """Set the state of a worm; it continues, to the last bit, as in the engine that the state came from.
 
         Raises
         ------
@@ -184,8 +184,8 @@ class Engine(ABC):
         self._restore(worm, state)
         self._show(worm, state)
         self._discard_checks(worm)
-        if self._finer is not None:
-            self._finer.restore(worm, state)
+        if self._half_step is not None:
+            self._half_step.restore(worm, state)
 
     def replace(self, worm: int, model: RodModel) -> None:
         """Let a worm begin again from the rest state of another model of the same shape.
@@ -202,9 +202,9 @@ class Engine(ABC):
         self._show(worm, model.rest_state())
         if self._audits:
             self._audits[worm] = EnergyAudit(model)
-        if self._finer is not None:
-            self._comparisons[worm] = StepComparison(model)
-            self._finer.replace(worm, model)
+        if self._half_step is not None:
+            self._comparisons[worm] = StepDoubling(model)
+            self._half_step.replace(worm, model)
 
     def ledger(self, worm: int = 0) -> Ledger | None:
         """Energy of a worm over the last call to `advance`, that of one which failed by it included.
@@ -222,13 +222,13 @@ class Engine(ABC):
 
     def close(self) -> None:
         """Give back threads; a later call to `advance` would begin new ones."""
-        if self._finer is not None:
-            self._finer.close()
+        if self._half_step is not None:
+            self._half_step.close()
 
     def _show(self, worm: int, state: RodState) -> None:
         """Write out where nodes and ball are."""
         self.position[worm], self.velocity[worm] = state.position, state.velocity
-        self.bolus_position[worm], self.bolus_velocity[worm] = state.bolus_position, state.bolus_velocity
+        self.ball_position[worm], self.ball_velocity[worm] = state.ball_position, state.ball_velocity
 
     def _discard_checks(self, worm: int) -> None:
         """Forget what the checks know of a worm."""
@@ -241,7 +241,7 @@ class Engine(ABC):
     def _advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> IntArray:
         """Advance with tensions from `start` to `end` [N], shape (n_worm, n_muscle); return codes, shape (n_worm,).
 
-        Where a worm ends in a sound state its rows of `position`, `velocity`, `bolus_position` and `bolus_velocity` are
+        Where a worm ends in a sound state its rows of `position`, `velocity`, `ball_position` and `ball_velocity` are
         written, for instance by `_show`; else they stay.
         """
 

@@ -40,9 +40,9 @@ class EnergyAudit:
     def close(self, state: RodState, flow: Flow) -> Health:
         """Draw up the ledger of a call that ended in `state`, and judge it; a failure names where most energy is."""
         assert self._before is not None
-        (start, stored), held = self._before, self._meter.stored(state)
+        (start, stored), energy = self._before, self._meter.stored(state)
         work = replace(flow, load_work=flow.load_work + self._meter.force_work(start, state))
-        self._before, self.ledger = (state, held), ledger(stored, held, work, self._meter.least)
+        self._before, self.ledger = (state, energy), ledger(stored, energy, work, self._meter.negligible)
         if not self.ledger.residual >= -ENERGY_TOLERANCE * self.ledger.scale:
-            return Health(Status.ENERGY, *self._meter.most(held))
+            return Health(Status.ENERGY, *self._meter.peak_element(energy))
         return Health()

@@ -16,10 +16,9 @@ class Status(IntEnum):
 
     NON_FINITE: a position, velocity or director is NaN or infinite. OVERSTRETCHED: an element or a line is shorter than
     `MIN_DILATATION` or longer than `MAX_DILATATION` times its rest length. INVERTED: an element points against its d3.
-    TORN: two joined nodes are further apart than `joint_gap_limits` allows. ENERGY: there is more spurious energy than
-    the ledger tolerates, see `energy.ENERGY_TOLERANCE`; looked for only with the energy check. INACCURATE: a run at
-    half the step, taken along since the state was last set, is further away than `STEP_TOLERANCE`, or failed itself;
-    looked for only with the step check.
+    TORN: two joined nodes are further apart than `joint_gap_limits` allows. ENERGY: the ledger shows more spurious
+    energy than `energy.ENERGY_TOLERANCE` allows; needs the energy check. INACCURATE: a run at half the step, started
+    when the state was last set, differs by more than `STEP_TOLERANCE`, or failed; needs the step check.
     """
 
     OK = 0
@@ -45,7 +44,7 @@ class Health:
 
     @property
     def ok(self) -> bool:
-        """True while the state can be trusted to be a state at all."""
+        """Whether no failure was found."""
         return self.status is Status.OK
 
     def __str__(self) -> str:
@@ -71,13 +70,13 @@ def joint_gap_limits(model: RodModel) -> FloatArray:
     return limits
 
 
-def torn(model: RodModel, joint: int) -> Health:
+def torn_joint(model: RodModel, joint: int) -> Health:
     """Health that names a torn joint, by its first rod and the element at its node there."""
     tie = model.joints[joint]
     return Health(Status.TORN, tie.rod_a, element_at(model, tie.rod_a, tie.node_a), joint)
 
 
-def overstretched(model: RodModel, line: int) -> Health:
+def overstretched_line(model: RodModel, line: int) -> Health:
     """Health that names the rod and element at the first end of an over-stretched line."""
     tie = model.lines[line]
     return Health(Status.OVERSTRETCHED, tie.rod_a, element_at(model, tie.rod_a, tie.node_a))

@@ -1,4 +1,4 @@
-"""The step check: how far a run is from the same run at half the step (step doubling)."""
+"""The step check by step doubling: the distance of a run from the same run at half the step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STEP_TOLERANCE = 0.03
 which the step is too long: between the 1 % that counts as right and the 10 % that counts as wrong."""
 
 
-class StepComparison:
+class StepDoubling:
     """Compares one worm with the same at half the step."""
 
     def __init__(self, model: RodModel) -> None:
@@ -28,12 +28,12 @@ class StepComparison:
         """Forget the error: a call failed, or another state was set."""
         self.error = None
 
-    def compare(self, state: RodState, finer: RodState, finer_health: Health) -> Health:
-        """Judge a state by that of the run at half the step, which ended in `finer_health`."""
+    def compare(self, state: RodState, finer: RodState, half_step_health: Health) -> Health:
+        """Judge a state by that of the run at half the step, which ended in `half_step_health`."""
         self.error, model = None, self._model
-        if not finer_health.ok:
-            return replace(finer_health, status=Status.INACCURATE)
-        own, other = (np.concatenate([of.position, of.bolus_position]) for of in (state, finer))
+        if not half_step_health.ok:
+            return replace(half_step_health, status=Status.INACCURATE)
+        own, other = (np.concatenate([of.position, of.ball_position]) for of in (state, finer))
         apart = np.linalg.norm(own - other, axis=1)
         node = int(np.argmax(apart))
         self.error = float(apart[node]) / self._size

@@ -15,7 +15,7 @@ from lattice_gym.engines.health import Health
 from lattice_gym.engines.registry import make_engine
 from lattice_gym.envs.measures import Measures
 from lattice_gym.envs.observation import Observation, Observer
-from lattice_gym.envs.randomisation import pull, varied
+from lattice_gym.envs.randomisation import apply_factors, tension_factor
 from lattice_gym.envs.scene import Scene
 from lattice_gym.physics.laws.activation import ACTIVATIONS
 from lattice_gym.physics.measures import muscle_strain
@@ -31,13 +31,13 @@ ROUNDING = 1e-9
 
 
 class Step(NamedTuple):
-    """What a control step came to."""
+    """Result of a control step."""
 
     terms: dict[str, FloatArray]
     """Reward terms by name, in order, shape (n_worm,) each."""
     reward: FloatArray
     """Their sum, shape (n_worm,)."""
-    over: Mask
+    terminated: Mask
     """Of which worms the episode has ended with this step: the task is over, or the physics failed."""
 
 
@@ -91,18 +91,18 @@ class Worms:
         self.task = scene.make_task(n_worm)
         self.task.rest = scene.start
         self._models, self._num_threads = [scene.model] * n_worm, num_threads
-        self._open([scene.start] * n_worm)
-        self._kept = [scene.start] * n_worm if keep_state else None
+        self._start_engine([scene.start] * n_worm)
+        self._saved_states = [scene.start] * n_worm if keep_state else None
         self._activation = scene.activation.rest((n_worm, scene.n_group))
         self._foreign_law = type(scene.activation) not in ACTIVATIONS.values()
         self.previous_action = np.zeros((n_worm, scene.n_group))
         self.n_step, self.sound_time = np.zeros(n_worm, dtype=np.int64), np.zeros(n_worm)
         self.failed = np.zeros(n_worm, dtype=np.bool_)
         n_muscle = len(scene.groups)
-        self._use = None if scene.adaptation is None else scene.adaptation.untrained((n_worm, n_muscle))
-        self._pull = None if scene.randomisation is None else np.ones((n_worm, n_muscle))
+        self._strength = None if scene.adaptation is None else scene.adaptation.initial((n_worm, n_muscle))
+        self._tension_factor = None if scene.randomisation is None else np.ones((n_worm, n_muscle))
         self.observer = Observer(scene, self.task)
-        self._most, self._warned = _largest_reward(self.task), False
+        self._max_reward, self._warned = _largest_reward(self.task), False
 
     @property
     def group_activation(self) -> FloatArray:
@@ -118,7 +118,7 @@ class Worms:
     @property
     def strength(self) -> FloatArray:
         """Strength by use of every active muscle over the design's, shape (n_worm, n_muscle); 1 without adaptation."""
-        return np.ones((self.n_worm, len(self.scene.groups))) if self._use is None else self._use.factor
+        return np.ones((self.n_worm, len(self.scene.groups))) if self._strength is None else self._strength.factor
 
     @property
     def time(self) -> FloatArray:
@@ -132,7 +132,7 @@ class Worms:
 
     def state(self, worm: int = 0) -> RodState:
         """Copy the state of a worm: that of its last sound moment where states are kept."""
-        return self.engine.state(worm) if self._kept is None else self._kept[worm].copy()
+        return self.engine.state(worm) if self._saved_states is None else self._saved_states[worm].copy()
 
     def restore(self, state: RodState, worm: int = 0) -> None:
         """Put the body of a worm into another state; a ValueError where it does not fit.
@@ -140,8 +140,8 @@ class Worms:
         Commands, activation and what the task remembers stay.
         """
         self.engine.restore(worm, state)
-        if self._kept is not None:
-            self._kept[worm] = state.copy()
+        if self._saved_states is not None:
+            self._saved_states[worm] = state.copy()
 
     def status(self, worm: int = 0) -> str:
         """Return "ok", or what went wrong in the last step of a worm and where."""
@@ -177,31 +177,31 @@ class Worms:
         self.previous_action[worm] = 0.0
         self.n_step[worm], self.sound_time[worm], self.failed[worm] = 0, 0.0, False
         info: dict[str, Any] = {"command": self.task.command_of(worm), "status": OK}
-        if scene.randomisation is not None and self._pull is not None:
+        if scene.randomisation is not None and self._tension_factor is not None:
             factors = scene.randomisation.draw(generator, len(scene.groups))
-            self._pull[worm] = pull(factors)
-            self._models[worm] = varied(scene.model, factors)
+            self._tension_factor[worm] = tension_factor(factors)
+            self._models[worm] = apply_factors(scene.model, factors)
             self.engine.replace(worm, self._models[worm])
             info["factors"] = factors
         self.restore(scene.start, worm)
-        if scene.adaptation is not None and self._use is not None:
-            begun = scene.adaptation.begun(self._use.row(worm))
-            self._use = self._use.where(np.arange(self.n_worm) == worm, begun)
-            info["strength"] = self._use.factor[worm]
+        if scene.adaptation is not None and self._strength is not None:
+            strength = scene.adaptation.at_reset(self._strength.row(worm))
+            self._strength = self._strength.where(np.arange(self.n_worm) == worm, strength)
+            info["strength"] = self._strength.factor[worm]
         return info
 
     def step(self, command: FloatArray, live: Mask | None = None) -> Step:
         """Advance by one control step.
 
-        Of a worm whose physics fails nothing changes but its time: all that it earns is the penalty, and its motion
-        stays that of its last sound moment.
+        A worm whose physics fails gets the penalty and no other reward. Only its time advances; its motion stays that
+        of its last sound moment.
 
         Parameters
         ----------
         command
             One number in [0, 1] for every control group, shape (n_worm, n_group).
         live
-            Worms that step; None: all. Of the others nothing is asked, and they earn nothing.
+            Worms that step; None: all. The others do not move and get no reward.
         """
         scene, before = self.scene, self._activation
         after = scene.activation.advance(before, command, scene.control_dt)
@@ -209,8 +209,8 @@ class Worms:
             raise ValueError(f"{type(scene.activation).__name__}.advance: activations must stay from 0 to 1")
         active = np.array([before[0], after[0]]).take(scene.groups, axis=-1)
         tension = scene.design.max_tension * active
-        by_use = None if self._use is None else self._use.factor
-        factors = [factor for factor in (by_use, self._pull) if factor is not None]
+        use_factor = None if self._strength is None else self._strength.factor
+        factors = [factor for factor in (use_factor, self._tension_factor) if factor is not None]
         if factors:
             self.task.strength = math.prod(factors[1:], start=factors[0])
             tension *= self.task.strength
@@ -224,15 +224,15 @@ class Worms:
             self.sound_time = np.where(sound, self.time, self.sound_time)
             self._activation = np.where(sound[:, None], after, before)
             self.previous_action = np.where(sound[:, None], command, self.previous_action)
-        if scene.adaptation is not None and self._use is not None:
+        if scene.adaptation is not None and self._strength is not None:
             mean, strain = 0.5 * (active[0] + active[1]), muscle_strain(scene.model, self.motion.position)
-            used = scene.adaptation.used(self._use, mean, tension.mean(axis=0), strain, scene.control_dt)
-            self._use = self._use.where(sound, used)
-        terms, over = self._scored(None if whole else sound, live), self.task.over(self.motion)
+            strength = scene.adaptation.advance(self._strength, mean, tension.mean(axis=0), strain, scene.control_dt)
+            self._strength = self._strength.where(sound, strength)
+        terms, terminated = self._reward_terms(None if whole else sound, live), self.task.terminated(self.motion)
         reward: FloatArray = np.asarray(sum(terms.values()))
-        self._watch(reward if whole else reward[sound])
-        over = over | self.failed
-        return Step(terms, reward, over if live is None else over & live)
+        self._check_reward(reward if whole else reward[sound])
+        terminated = terminated | self.failed
+        return Step(terms, reward, terminated if live is None else terminated & live)
 
     def close(self) -> None:
         """End the engine's threads; a later step would begin new ones."""
@@ -247,9 +247,9 @@ class Worms:
         """Go on exactly from where the pickled worms stood."""
         states = state.pop("states")
         vars(self).update(state)
-        self._open(states)
+        self._start_engine(states)
 
-    def _open(self, states: list[RodState]) -> None:
+    def _start_engine(self, states: list[RodState]) -> None:
         """Make the engine, with worms in these states, and show how they move."""
         scene = self.scene
         engine = self.engine = make_engine(
@@ -264,7 +264,7 @@ class Worms:
         for worm, state in enumerate(states):
             engine.restore(worm, state)
         self.motion = Motion(
-            *map(_read_only, (engine.position, engine.velocity, engine.bolus_position, engine.bolus_velocity))
+            *map(_read_only, (engine.position, engine.velocity, engine.ball_position, engine.ball_velocity))
         )
 
     def _advance(self, tension: FloatArray, live: Mask | None) -> Mask:
@@ -278,37 +278,37 @@ class Worms:
         sound: Mask = self.engine.advance(tension, self.scene.n_substeps) == 0
         if live is not None:
             sound &= live
-        if self._kept is not None:
+        if self._saved_states is not None:
             for worm in range(self.n_worm) if live is None else live.nonzero()[0].tolist():
                 if sound[worm]:
-                    self._kept[worm] = self.engine.state(worm)
+                    self._saved_states[worm] = self.engine.state(worm)
                 else:
-                    self.engine.restore(worm, self._kept[worm])
+                    self.engine.restore(worm, self._saved_states[worm])
         return sound
 
-    def _scored(self, sound: Mask | None, live: Mask | None) -> dict[str, FloatArray]:
+    def _reward_terms(self, sound: Mask | None, live: Mask | None) -> dict[str, FloatArray]:
         """Reward terms of the step that ends, shape (n_worm,) each; None: all worms are sound."""
         lost = None if sound is None else np.flatnonzero(~sound)
-        memory = {} if lost is None else self.task.remembered(lost)
+        memory = {} if lost is None else self.task.copy_memory(lost)
         terms = self.task.reward_terms(self.motion, self.activation, self.sound_time)
         terms[DIVERGENCE] = np.zeros(self.n_worm)
         if lost is not None:
-            self.task.remind(lost, memory)
+            self.task.restore_memory(lost, memory)
             for values in terms.values():
                 values[lost] = 0.0
             terms[DIVERGENCE][self.failed if live is None else self.failed & live] = -self.task.penalty
         return terms
 
-    def _watch(self, reward: FloatArray) -> None:
-        """Warn once of rewards beyond what the task declares, as the price of a divergence counts with that."""
+    def _check_reward(self, reward: FloatArray) -> None:
+        """Warn once of rewards beyond the declared ranges, from which the penalty of a divergence is derived."""
         worst = max(map(abs, reward.tolist()), default=0.0)
-        if worst <= self._most or self._warned:
+        if worst <= self._max_reward or self._warned:
             return
         self._warned = True
         warnings.warn(
-            f"{self.task.name}: a reward of size {worst:g} in one control step, beyond the {self._most:g} that its "
-            f"`rewards` declare; a divergence, which costs {self.task.penalty:g}, may pay more than a sound episode: "
-            "widen the ranges of its reward terms",
+            f"{self.task.name}: a reward of size {worst:g} in one control step, beyond the {self._max_reward:g} that "
+            f"its `rewards` declare; a divergence, which costs {self.task.penalty:g}, may pay more than a sound "
+            "episode: widen the ranges of its reward terms",
             stacklevel=4,
         )
 

@@ -85,17 +85,17 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | "muscle_lengths" | of each muscle | n_muscle | rest length | 0 to 5 |
     | "muscle_rates" | how fast each muscle grows longer | n_muscle | rest length / s | +-20 |
     | "ring_radii" | mean radius of the ring at each level | n_level | that at rest | 0 to 10 |
-    | "body_frame" | of the top: centre from the base's, unit normal, velocity | 9 | height, 1, height / s | 20, 1, 20 |
-    | | of a free base, before it: centre from the start, unit normal, velocity | 9 | the same | the same |
+    | "body_frame" | top: centre less the base's, normal, velocity | 9 | body lengths, 1, body lengths / s | 20, 1, 20 |
+    | | of a free base, before it: centre less that at the start, normal, velocity | 9 | the same | the same |
     | "ground_contact" | 1 for a site that touches the ground, else 0; needs one | n_site | 1 | 0 to 1 |
     | "previous_action" | as clipped, 0 at the start | n_action | 1 | 0 to 1 |
     | "module:Class" | an `ObservationTerm` of your own; the class itself is taken too | its own | its own | its own |
 
     Points are the sites (each the mean of its two nodes) or the nodes, without those that the base holds in place: 48
-    or 480 in the default design. Displacements are in units of 0.2 height, velocities of heights a second. What lies
-    beyond its bound is clipped to it and counted in `info["clipped_observations"]`; of sites and nodes of the default
-    design none come near. Of a worm that crawls, displacements in x and y are less their mean over the points. A ball
-    is observed in transport only, and its spin never. `docs/observations.md` has sizes and an example of a term.
+    or 480 in the default design. Displacements are in units of 0.2 body lengths, velocities of body lengths a second.
+    What lies beyond its bound is clipped to it and counted in `info["clipped_observations"]`; of sites and nodes of the
+    default design none come near. Of a worm that crawls, displacements in x and y are less their mean over the points.
+    A ball is observed in transport only, and its spin never. `docs/observations.md` has sizes and an example of a term.
 
     | task | what it commands | bound |
     |---|---|---|
@@ -127,9 +127,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | bending | `bend` | part of the bend towards the commanded azimuth [rad] |
     | bending | `sideways` | minus the size of its part across [rad] |
     | peristalsis | `tracking` | how well the commanded wave is followed, from -1 to 2, see below |
-    | reach | `approach` | target's distance from where the top's centre rests, less that from where it is [height] |
-    | crawl | `progress` | 10 times the centre of mass's way along the command in this step [height] |
-    | transport | `progress` | 10 times the ball's way in the body along the command in this step [height] |
+    | reach | `approach` | distance of the target from the top's centre at rest, less that now [body lengths] |
+    | crawl | `progress` | 10 times the centre of mass's way along the command in this step [body lengths] |
+    | transport | `progress` | 10 times the ball's way in the body along the command in this step [body lengths] |
     | transport | `lost` | -5 where the ball has left the body other than by the commanded end, else 0 |
     | all | `effort` | minus 0.01 times the mean squared activation of the muscles |
     | all | `divergence` | 0; or -1000 where the physics diverged, and then all other terms are 0 |
@@ -141,9 +141,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     over the n levels that can move, tracking = (sum t^2 - sum (d - t)^2) / (n amplitude^2 / 2 + sum (d - t)^2): 0 for
     doing nothing, sum t^2 / (n amplitude^2 / 2) for following perfectly, which is 1 on average, and never below -1.
 
-    The ball's place in the body is where the line from ring centre to ring centre comes nearest to it, in rest heights.
-    It has left by an end where it lies beyond the plane through the last ring's centre across that line, and sideways
-    where it is further from the line than the mean radius of the rings there (`measures.lodging`).
+    The ball's place in the body is its projection on the centreline, which runs from ring centre to ring centre, in
+    lengths at rest. It has left by an end where it lies beyond the plane through the last ring's centre normal to that
+    line, and sideways where it is further from the line than the radius of the rings there
+    (`measures.centreline_projection`).
 
     Bend, azimuth and strain are relative to the base: under a free body, to its bottom ring, so that a rigid motion of
     the whole body is neither bend nor strain.
@@ -152,22 +153,22 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     At rest, free of stress, activations 0, strengths 1 unless an `adaptation` carries them. In crawl and transport worm
     and ball came to rest first, with slack muscles, and displacements count from there: until none of their points was
-    faster than 0.0001 heights a second, for 30 s at most, in a medium of at most 0.05 N s/m^2, as drag only delays it
-    there. What is then faster than 0.001, or has left the body, is a ValueError. In other tasks a worm with weight sags
-    from the start, and that counts. Only the command is random, uniform over the ranges below. Numbers given as
+    faster than 0.0001 body lengths a second, for 30 s at most, in a medium of at most 0.05 N s/m^2, as drag only delays
+    it there. What is then faster than 0.001, or has left the body, is a ValueError. In other tasks a worm with weight
+    sags from the start, and that counts. Only the command is random, uniform over the ranges below. Numbers given as
     `command` are held in every episode, those in `reset(options={...})` in that one; the options win. Of a list in
     place of a number, one is drawn for each episode.
 
     | task | name | drawn from | may be given |
     |---|---|---|---|
     | bending | `azimuth` [rad] | 0 to 2 pi | -2 pi to 2 pi |
-    | peristalsis | `speed` [m/s], up is positive | 0.8 to 1.2 heights / s | 0.1 to 10 heights / s, up or down |
-    | peristalsis | `wavelength` [m] | 0.8 to 1.2 heights | 3 level spacings to 10 heights |
+    | peristalsis | `speed` [m/s], up > 0 | 0.8 to 1.2 body lengths / s | 0.1 to 10 body lengths / s, up or down |
+    | peristalsis | `wavelength` [m] | 0.8 to 1.2 body lengths | 3 level spacings to 10 body lengths |
     | peristalsis | `amplitude` over the rest radius | 0.04 to 0.07 | 0.001 to 0.5 |
     | peristalsis | `phase` at the base at the start [rad] | 0 to 2 pi | -2 pi to 2 pi |
     | reach | `azimuth` of the target [rad] | 0 to 2 pi | -2 pi to 2 pi |
-    | reach | `radius`: its distance from the axis [heights] | 0.05 to 0.2 | 0 to 1.5 |
-    | reach | `rise`: its height above the top at rest [heights] | -0.08 to 0 | -1 to 1.5 |
+    | reach | `radius`: its distance from the axis [body lengths] | 0.05 to 0.2 | 0 to 1.5 |
+    | reach | `rise`: its height above the top at rest [body lengths] | -0.08 to 0 | -1 to 1.5 |
     | crawl | `direction` along x | -1 or 1 | -1 or 1 |
     | transport | `direction` up the body | -1 or 1 | -1 or 1 |
 
@@ -177,7 +178,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ## Episode end
 
     `terminated` in transport where the ball has left the body, and else only where the physics diverges: a state that
-    is not finite, an element inverted or over-stretched, a joint torn or, where asked for, energy from nowhere
+    is not finite, an element inverted or over-stretched, a joint torn or, where asked for, spurious energy
     (`energy_check`) or too long a step (`step_check`); see `engines.Status`. Then `info["status"]` names what and
     where, by rod and element, and the observation is the last sound one, again; `time` is that of the control step that
     failed. The penalty exceeds what lies between the best and the worst episode within the task's time limit, so none
@@ -198,10 +199,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     | peristalsis | `wave_direction` (+1 up, -1 down, 0 neither), `wave_speed` [m/s] |
     | peristalsis | `wave_amplitude` over the rest radius: of the dominant mode, wave or not |
     | reach | `distance` of the top's centre from the target [m] |
-    | reach | `reached`: 1 once it came within 0.03 heights, else 0; `reach_time`: when it first did [s], else 0 |
-    | crawl | `speed` along the command since the start [body heights a minute] |
-    | crawl | `drift`: angle between the way so far and the command [rad]; 0 before 0.01 heights |
-    | crawl | `cost_of_transport`, see below; 0 before 0.01 heights along the command |
+    | reach | `reached`: 1 once it came within 0.03 body lengths, else 0; `reach_time`: when it first did [s], else 0 |
+    | crawl | `speed` along the command since the start [body lengths a minute] |
+    | crawl | `drift`: angle between the way so far and the command [rad]; 0 before 0.01 body lengths |
+    | crawl | `cost_of_transport`, see below; 0 before 0.01 body lengths along the command |
     | transport | `distance` of the ball along the command [m], `speed`: that over time [m/s] |
     | transport | `held`: 0 once it is lost, else 1; `delivered`: 1 once it left by the commanded end, else 0 |
 
@@ -257,18 +258,18 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     engine
         "fused" (by default) or "pyelastica".
     dt
-        Physics time step [s], a whole fraction of `control_dt`; None: the largest one below `stability.DT_MARGIN` of
-        the predicted stable step.
+        Physics time step [s], a whole fraction of `control_dt`; None: the largest one below `critical_step.DT_MARGIN`
+        of the critical time step.
     allow_large_dt
-        Take a `dt` above the predicted stable step; False by default.
+        Take a `dt` above the critical time step; False by default.
     energy_check
-        Draw up the energy ledger of every control step, and end an episode with spurious energy; False by default. The
-        law of rods that are sheared and stretched at once is no potential's: a violent snap may be flagged at any step.
+        Keep an energy ledger of every control step, and end an episode with spurious energy; False by default. The law
+        of rods that shear and stretch at once has no potential: a violent snap may be flagged whatever the step.
     step_check
-        Take a run at half the step along, and end an episode where it leads elsewhere, by more than
-        `step_doubling.STEP_TOLERANCE` of the longest side; False by default. The one check that also catches a run
-        which goes astray smoothly, as near a snap. Three times the computing. A pickled environment begins the
-        comparison anew.
+        Step doubling: run at half the step too, and end an episode where both differ by more than
+        `step_doubling.STEP_TOLERANCE` of the longest side; False by default. It is the only check that catches runs
+        which are wrong but smooth, as near a snap, and costs three times the computing. A pickled environment starts
+        the comparison anew.
     control_dt
         Time between actions [s]; 0.05 by default.
     observation
@@ -276,7 +277,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     command
         Commanded numbers, by name, to hold in every episode, or lists to draw one from for each.
     world
-        Medium, ground and bolus around the worm and whether it lies: a World, or a dict of what differs from the task's
+        Medium, ground and ball around the worm and whether it lies: a World, or a dict of what differs from the task's
         own; None: the task's own, nothing at all for most. A part given as a dict changes the task's own part, or where
         that has none the default one; an object replaces it, None takes it away. One that lies needs a free base, crawl
         lies on a ground under gravity, and in crawl and transport worm and ball must come to rest in it.
@@ -383,10 +384,10 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         if not self._running:
             raise gymnasium.error.ResetNeeded("reset() must be called first, and again once an episode has terminated")
         worms = self.worms
-        command, n_clipped = clipped_command(action, self.action_space.shape)
+        command, n_clipped = clip_command(action, self.action_space.shape)
         result = worms.step(command[None])
-        over = bool(result.over[0])
-        self._running = not over
+        terminated = bool(result.terminated[0])
+        self._running = not terminated
         observation, n_beyond = self._observe()
         info = {
             "reward_terms": _first(result.terms),
@@ -397,7 +398,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         }
         if self.adaptation is not None:
             info["strength"] = self.strength
-        return observation, float(result.reward[0]), over, False, info
+        return observation, float(result.reward[0]), terminated, False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """Picture of the worm now and of the place it is to reach, shape (480, 640, 3); None without a render mode."""
@@ -415,7 +416,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return one, int(n_beyond[0])
 
 
-def clipped_command(action: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
+def clip_command(action: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
     """Commands from 0 to 1, of the given shape (..., n_action), and how many were clipped, shape (...,).
 
     Raises

@@ -20,14 +20,14 @@ class Fidelity:
     """What a fidelity sets."""
 
     splitting: Splitting
-    fewest: int = 1
+    min_elements: int = 1
     """Elements per segment at least; a coarser design is refined to it."""
-    most: int = MAX_ELEMENTS
+    max_elements: int = MAX_ELEMENTS
     """Elements per segment at most; a finer design is coarsened to it."""
 
     def remesh(self, design: LatticeDesign) -> LatticeDesign:
         """Design on this fidelity's mesh, with the damping per length that it has on its own."""
-        mesh = min(max(design.elements_per_segment, self.fewest), self.most)
+        mesh = min(max(design.elements_per_segment, self.min_elements), self.max_elements)
         if mesh == design.elements_per_segment:
             return design
         return replace(
@@ -36,9 +36,9 @@ class Fidelity:
 
 
 FIDELITIES: dict[FidelityName, Fidelity] = {
-    "fast": Fidelity("symmetric", most=2),
+    "fast": Fidelity("symmetric", max_elements=2),
     "default": Fidelity("symmetric"),
-    "fine": Fidelity("symmetric", fewest=16),
+    "fine": Fidelity("symmetric", min_elements=16),
 }
 """Every fidelity by name."""
 

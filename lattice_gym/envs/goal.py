@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.checks import FloatArray, refused
+from lattice_gym.checks import FloatArray, invalid_value
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.tasks.base import DIVERGENCE, GoalTask, Task
@@ -19,7 +19,7 @@ class LatticeWormGoalEnv(LatticeWormEnv):
 
     Its observation is a Dict: "observation" is that of `LatticeWormEnv` without what the task commands, "achieved_goal"
     and "desired_goal" are Boxes. Goals of reach are the displacement of the top's centre from rest (x, y, z), in units
-    of 0.2 height, within +-10. All else is as in `LatticeWormEnv`; `LatticeWormReachGoal-v0` is its id.
+    of 0.2 body lengths, within +-10. All else is as in `LatticeWormEnv`; `LatticeWormReachGoal-v0` is its id.
 
     Give a `HerReplayBuffer` `copy_info_dict=True`: without infos `compute_reward` knows neither effort nor divergence,
     and a relabelled transition that diverged is paid its plain approach instead of the penalty.
@@ -72,7 +72,7 @@ def _infos(info: Any, count: int) -> list[Mapping[str, Any]]:
         given = [info]
     infos: list[Mapping[str, Any]] = [{} if entry is None else entry for entry in given]
     if not all(isinstance(entry, Mapping) for entry in infos):
-        raise refused("info", info, "must be a mapping, None or a sequence of them")
+        raise invalid_value("info", info, "must be a mapping, None or a sequence of them")
     if len(infos) != count and not isinstance(info, Mapping | None):
         raise ValueError(f"info: must be one mapping, or as many as there are goals, {count}, got {len(infos)}")
     return infos

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from lattice_gym.checks import FloatArray, IntArray, refused, subclass
+from lattice_gym.checks import FloatArray, IntArray, invalid_value, subclass
 from lattice_gym.envs.terms import TERMS, ObservationTerm
 from lattice_gym.tasks.base import COMMAND_BOUND, GoalTask, Task
 
@@ -43,7 +43,7 @@ def resolve_terms(observation: object, scene: Scene) -> tuple[type[ObservationTe
     if not isinstance(observation, list | tuple) or len(observation) == 0:
         first = [observation] if isinstance(observation, str) and observation in TERMS else default[:1]
         example = str([*first, *default[1:]]).replace("'", '"')
-        raise refused("observation", observation, f"must be a list of terms; write {example}")
+        raise invalid_value("observation", observation, f"must be a list of terms; write {example}")
     terms = tuple(
         subclass(f"observation[{place}]", term, ObservationTerm, TERMS)  # type: ignore[type-abstract]
         for place, term in enumerate(observation)
@@ -81,7 +81,7 @@ class Observer:
     """
 
     def __init__(self, scene: Scene, task: Task) -> None:
-        self.terms = tuple(_built(term, scene) for term in scene.terms)
+        self.terms = tuple(_build_term(term, scene) for term in scene.terms)
         ends = np.cumsum([0, *(term.size for term in self.terms)]).tolist()
         self.slices = {term.name: slice(*ends[place : place + 2]) for place, term in enumerate(self.terms)}
         self._goals = task if scene.goals_apart and isinstance(task, GoalTask) else None
@@ -98,7 +98,7 @@ class Observer:
         for term in self.terms:
             values = term(worms)
             if not term.stays_within:
-                values, beyond = _clipped(term, values, worms.n_worm)
+                values, beyond = _clip(term, values, worms.n_worm)
                 n_clipped += beyond
             parts.append(values)
         flat: npt.NDArray[np.float32] = np.concatenate(parts, axis=-1, dtype=np.float32)
@@ -118,7 +118,7 @@ def table(terms: Sequence[ObservationTerm]) -> str:
     return "\n".join(rows) + "\n"
 
 
-def _built(kind: type[ObservationTerm], scene: Scene) -> ObservationTerm:
+def _build_term(kind: type[ObservationTerm], scene: Scene) -> ObservationTerm:
     """Term of a scene, whose bounds are sound."""
     term = kind(scene)
     low, high = (np.asarray(getattr(term, end, None)) for end in ("low", "high"))
@@ -128,7 +128,7 @@ def _built(kind: type[ObservationTerm], scene: Scene) -> ObservationTerm:
     return term
 
 
-def _clipped(term: ObservationTerm, values: FloatArray, n_worm: int) -> tuple[FloatArray, IntArray | int]:
+def _clip(term: ObservationTerm, values: FloatArray, n_worm: int) -> tuple[FloatArray, IntArray | int]:
     """Values of a term within its bounds, and how many of each worm were not."""
     if np.shape(values) != (n_worm, term.size):
         raise ValueError(f"{term.name}: must give shape {(n_worm, term.size)}, got {np.shape(values)}")

@@ -33,7 +33,7 @@ class Pictures:
         motion = worms.motion
         caption = worms.task.caption(motion.rows(np.array([worm])), worm)
         shown = motion.position[worm], worms.activation[worm], float(worms.time[worm])
-        return self.renderer.update(*shown, caption, motion.bolus_position[worm], markers)
+        return self.renderer.update(*shown, caption, motion.ball_position[worm], markers)
 
     def close(self) -> None:
         """Free the renderer; a later picture would make a new one."""

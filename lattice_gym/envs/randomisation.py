@@ -9,15 +9,16 @@ from itertools import product
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray, items, names, number, refused
+from lattice_gym.checks import FloatArray, invalid_value, items, names, number
 from lattice_gym.physics.assembly import RodModel
 
 BODY = ("structure_youngs_modulus", "muscle_youngs_modulus", "damping")
 """What changes the body; elastic and shear moduli go together, and so do damping and rotational damping."""
 NAMES = (*BODY, "max_tension", "strength")
-LEAST_FACTOR, MOST_FACTOR = 0.01, 100.0
+MIN_FACTOR, MAX_FACTOR = 0.01, 100.0
 """Bounds of every factor."""
-_factor = partial(number, low=LEAST_FACTOR, high=MOST_FACTOR)
+_factor = partial(number, low=MIN_FACTOR, high=MAX_FACTOR)
+_PAIR = f"factors from {MIN_FACTOR:g} to {MAX_FACTOR:g}, the lower first"
 
 Factors = Mapping[str, float | FloatArray]
 """Factors of a worm by name; that of "strength" holds one for each muscle, shape (n_muscle,)."""
@@ -43,14 +44,14 @@ class Randomisation:
             return None
         ranges = {}
         for name, pair in names("randomise", given, NAMES, "pairs of factors").items():
-            low, high = items(f"randomise[{name!r}]", pair, _factor, 2, "factors, the lower first")
+            low, high = items(f"randomise[{name!r}]", pair, _factor, 2, _PAIR)
             if low > high:
-                raise refused(f"randomise[{name!r}]", pair, "must have the lower first")
+                raise invalid_value(f"randomise[{name!r}]", pair, "must have the lower first")
             ranges[name] = (low, high)
         return cls(ranges) if ranges else None
 
     @property
-    def strongest(self) -> float:
+    def max_tension_factor(self) -> float:
         """Largest factor on the tension of a muscle."""
         return float(np.prod([self.ranges[name][1] for name in ("max_tension", "strength") if name in self.ranges]))
 
@@ -68,15 +69,15 @@ class Randomisation:
     def corners(self, model: RodModel) -> list[RodModel]:
         """Bodies at all ends of the ranges."""
         ranges = {name: sorted(set(self.ranges[name])) for name in BODY if name in self.ranges}
-        return [varied(model, dict(zip(ranges, ends, strict=True))) for ends in product(*ranges.values())]
+        return [apply_factors(model, dict(zip(ranges, ends, strict=True))) for ends in product(*ranges.values())]
 
 
-def varied(model: RodModel, factors: Factors) -> RodModel:
-    """Return the assembly with the factors on its body."""
+def apply_factors(model: RodModel, factors: Factors) -> RodModel:
+    """Return the assembly with its moduli and damping multiplied by the factors."""
     structure, muscle, damping = (float(factors.get(name, 1.0)) for name in BODY)
     return model.scaled(structure, muscle, damping)
 
 
-def pull(factors: Factors) -> float | FloatArray:
+def tension_factor(factors: Factors) -> float | FloatArray:
     """Factor on the tension of every muscle, shape (n_muscle,) or ()."""
     return factors.get("max_tension", 1.0) * factors.get("strength", 1.0)

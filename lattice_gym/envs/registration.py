@@ -7,7 +7,7 @@ import warnings
 import gymnasium
 from gymnasium.envs.registration import EnvSpec
 
-from lattice_gym.checks import refused, shown
+from lattice_gym.checks import brief, invalid_value
 from lattice_gym.tasks.base import GoalTask, Task
 from lattice_gym.tasks.registry import TASKS, resolve_task, task_label
 
@@ -41,7 +41,7 @@ def register_task(task: str | type[Task], id: str, goals: bool = False) -> None:
     """
     kind = resolve_task(task)
     if goals and not issubclass(kind, GoalTask):
-        raise refused("goals", goals, f"{kind.name} is no GoalTask")
+        raise invalid_value("goals", goals, f"{kind.name} is no GoalTask")
     entry, vector = (
         ("goal:LatticeWormGoalEnv", "goal:LatticeWormGoalVectorEnv")
         if goals
@@ -64,7 +64,7 @@ def register_task(task: str | type[Task], id: str, goals: bool = False) -> None:
             vector_entry_point=spec.vector_entry_point,
         )
     elif known != spec:
-        raise refused("id", id, f"is registered already, as {shown(known)}")
+        raise invalid_value("id", id, f"is registered already, as {brief(known)}")
 
 
 def register_builtin_tasks() -> None:

@@ -8,26 +8,26 @@ from typing import Any, get_args
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import MuscleLayout, control_groups, resolve_layout
-from lattice_gym.checks import IntArray, Parameters, choice, flag, instance, number, optional, refused
+from lattice_gym.checks import IntArray, Parameters, choice, flag, instance, invalid_value, number, optional
 from lattice_gym.engines.registry import ENGINES, EngineName
 from lattice_gym.envs.fidelity import FidelityName, named_fidelity
 from lattice_gym.envs.observation import TermLike, resolve_terms
 from lattice_gym.envs.randomisation import Randomisation
-from lattice_gym.envs.settling import settled
+from lattice_gym.envs.settling import settle
+from lattice_gym.physics.critical_step import critical_dt, default_dt
 from lattice_gym.physics.laws.activation import Activation, resolve_activation
 from lattice_gym.physics.laws.adaptation import Adaptation
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.hill import Hill
-from lattice_gym.physics.stable_step import default_dt, stable_dt
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
-from lattice_gym.tasks.base import Given, GoalTask, Task
+from lattice_gym.tasks.base import CommandValues, GoalTask, Task
 from lattice_gym.tasks.registry import TASKS, resolve_task, warn_of_dropped_values
 
-SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT = 1e-6, 1e3
+MIN_CONTROL_DT, MAX_CONTROL_DT = 1e-6, 1e3
 """Bounds of the control step [s]."""
 MAX_SUBSTEPS = 1_000_000
-"""More physics steps than this in one control step are a slip in dt, not a wish."""
+"""Largest number of physics steps in a control step; more are a mistake in dt."""
 DIVISION_TOLERANCE = 1e-9
 """A control step is a whole number of physics steps if that many differ from it by no more than this share."""
 
@@ -88,7 +88,7 @@ class Scene:
         step_check: bool = False,
         control_dt: float = 0.05,
         observation: Sequence[TermLike] | None = None,
-        command: Given | None = None,
+        command: CommandValues | None = None,
         world: World | Mapping[str, Any] | None = None,
         adaptation: Adaptation | Mapping[str, Any] | None = None,
         hill: Hill | Mapping[str, Any] | None = None,
@@ -101,7 +101,7 @@ class Scene:
         self.task, self.goals_apart = _task(task, goals_apart), goals_apart
         self.engine = choice("engine", engine, ENGINES)
         self.energy_check, self.step_check = flag("energy_check", energy_check), flag("step_check", step_check)
-        self.control_dt = number("control_dt", control_dt, SHORTEST_CONTROL_DT, LONGEST_CONTROL_DT, "s")
+        self.control_dt = number("control_dt", control_dt, MIN_CONTROL_DT, MAX_CONTROL_DT, "s")
         self.rhythm = optional(number, "rhythm", rhythm, 0.0, 0.5 / self.control_dt, "Hz", above=True)
         preset = named_fidelity(fidelity)
         self.design = preset.remesh(_design(design, self.task.design))
@@ -117,25 +117,25 @@ class Scene:
         self.randomisation = Randomisation.resolve(randomise)
         self.terms = resolve_terms(observation, self)
         self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))
-        self._asked: dict[str, Any] = {"command": command, "reward_weights": reward_weights}
+        self._task_arguments: dict[str, Any] = {"command": command, "reward_weights": reward_weights}
         first = self.make_task(1)
         if isinstance(design, LatticeDesign):
             warn_of_dropped_values(design, self.task)
         preferred: Splitting = "pyelastica" if self.engine == "pyelastica" else preset.splitting
         self.splitting: Splitting = optional(choice, "splitting", splitting, get_args(Splitting)) or preferred
         self.n_substeps, self.dt = self._substeps(dt, flag("allow_large_dt", allow_large_dt))
-        self.start = settled(first, self.model)
+        self.start = settle(first, self.model)
 
     def make_task(self, n_worm: int) -> Task:
         """Task of so many worms; its `rest` is that of the model until it is given the state that episodes start in."""
-        return self.task(self.lattice, self.control_dt, model=self.model, n_worm=n_worm, **self._asked)
+        return self.task(self.lattice, self.control_dt, model=self.model, n_worm=n_worm, **self._task_arguments)
 
     def _substeps(self, dt: object, allow_large_dt: bool) -> tuple[int, float]:
         """Physics steps in a control step, and their length [s]."""
         control_dt, tension, bodies = self.control_dt, self.design.max_tension, [self.model]
-        tension *= 1.0 if self.adaptation is None else self.adaptation.most
+        tension *= 1.0 if self.adaptation is None else self.adaptation.max_strength
         if self.randomisation is not None:
-            tension *= self.randomisation.strongest
+            tension *= self.randomisation.max_tension_factor
             bodies = self.randomisation.corners(self.model)
         if dt is None:
             step = min(default_dt(body, control_dt, tension) for body in bodies)
@@ -144,16 +144,20 @@ class Scene:
         ratio = control_dt / step
         if ratio > MAX_SUBSTEPS:
             must = f"{ratio:.3g} steps in control_dt = {control_dt:g} s, at most {MAX_SUBSTEPS}"
-            raise refused("dt", step, must)
+            raise invalid_value("dt", step, must)
         n_substeps = round(ratio)
         if abs(n_substeps * step - control_dt) > DIVISION_TOLERANCE * control_dt:
             nearest = f"{control_dt / (int(ratio) + 1)!r} and {control_dt / int(ratio)!r}"
-            raise refused("dt", step, f"must divide control_dt = {control_dt!r} s; the nearest that do: {nearest} s")
+            raise invalid_value(
+                "dt", step, f"must divide control_dt = {control_dt!r} s; the nearest that do: {nearest} s"
+            )
         if dt is None or allow_large_dt:
             return n_substeps, step
-        limit = min(stable_dt(body, tension, self.splitting) for body in bodies)
+        limit = min(critical_dt(body, tension, self.splitting) for body in bodies)
         if step > limit:
-            raise refused("dt", step, f"above the predicted stable {limit:.6g} s; allow_large_dt=True permits it")
+            raise invalid_value(
+                "dt", step, f"above the critical time step, {limit:.6g} s; allow_large_dt=True permits it"
+            )
         return n_substeps, step
 
 
@@ -175,7 +179,7 @@ def _task(task: str | type[Task] | None, goals_apart: bool) -> type[Task]:
     kind = resolve_task(task)
     if goals_apart and not issubclass(kind, GoalTask):
         having = ", ".join(name for name, known in TASKS.items() if issubclass(known, GoalTask))
-        raise refused("task", task, f"has no goals; those that do: {having}")
+        raise invalid_value("task", task, f"has no goals; those that do: {having}")
     return kind
 
 

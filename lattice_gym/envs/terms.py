@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 
-from lattice_gym.checks import TURN, FloatArray, IntArray
+from lattice_gym.checks import TAU, FloatArray, IntArray
 from lattice_gym.physics.laws.elasticity import MAX_DILATATION
 from lattice_gym.physics.measures import base_centre, ring_radii
+from lattice_gym.tasks.registry import TASKS
 
 if TYPE_CHECKING:
     from lattice_gym.envs.core import Worms
@@ -41,7 +42,7 @@ class ObservationTerm(ABC):
     """As in `LatticeWormEnv(observation=[...])`."""
     unit: ClassVar[str] = "1"
     """What its numbers are given in."""
-    stays_within: ClassVar[bool] = False
+    stays_within: bool = False
     """Whether its numbers can never leave their bounds; of any other term those that do are clipped and counted."""
     low: FloatArray
     """Least value of every number, shape (size,); of the class, or set by `__init__`, as `high` is."""
@@ -68,13 +69,13 @@ class ObservationTerm(ABC):
 class _Points(ObservationTerm):
     """Displacements from rest of points of the body, then their velocities; without those that the base holds."""
 
-    unit = "0.2 height; height/s"
+    unit = "0.2 body lengths; body lengths / s"
 
     def __init__(self, scene: Scene) -> None:
         clamps = scene.model.clamps
-        held = [scene.model.node_offset[clamp.rod] + clamp.node for clamp in clamps if clamp.node is not None]
+        clamped = [scene.model.node_offset[clamp.rod] + clamp.node for clamp in clamps if clamp.node is not None]
         points = self._points(scene)
-        self._nodes = points[~np.isin(points, held).any(axis=1)].T
+        self._nodes = points[~np.isin(points, clamped).any(axis=1)].T
         self._rest, self._travels = self._sum(scene.start.position), scene.task.travels
         # Of sums over the nodes of a point, which are one or two, so that nothing is rounded by it.
         scale = len(self._nodes) * scene.design.height
@@ -147,11 +148,12 @@ class Command(ObservationTerm):
     """What the task commands, see `LatticeWormEnv`."""
 
     name = "command"
-    stays_within = True
 
     def __init__(self, scene: Scene) -> None:
         if scene.goals_apart:
             raise ValueError('observation: "command" is observed apart, as "desired_goal"; leave it out')
+        # Tasks of the package clip what they tell themselves; that of any other task is checked.
+        self.stays_within = TASKS.get(scene.task.name) is scene.task
         self.high = np.array(scene.task.bounds, dtype=np.float64)
         self.low = -self.high
 
@@ -173,7 +175,7 @@ class Clock(ObservationTerm):
         self._bound(2, -1.0, 1.0)
 
     def __call__(self, worms: Worms) -> FloatArray:
-        angle = TURN * self._rhythm * worms.sound_time
+        angle = TAU * self._rhythm * worms.sound_time
         return np.array([np.cos(angle), np.sin(angle)]).T
 
 
@@ -188,7 +190,7 @@ class Strength(ObservationTerm):
     def __init__(self, scene: Scene) -> None:
         if scene.adaptation is None:
             raise ValueError('observation: "strength" needs an adaptation; without one it is 1')
-        self._bound(scene.model.n_muscle, 0.0, scene.adaptation.most)
+        self._bound(scene.model.n_muscle, 0.0, scene.adaptation.max_strength)
 
     def __call__(self, worms: Worms) -> FloatArray:
         return worms.strength
@@ -250,7 +252,7 @@ class BodyFrame(ObservationTerm):
     """
 
     name = "body_frame"
-    unit = "height; 1; height/s"
+    unit = "body lengths; 1; body lengths / s"
 
     def __init__(self, scene: Scene) -> None:
         lattice, rest = scene.lattice, scene.start.position
@@ -261,12 +263,12 @@ class BodyFrame(ObservationTerm):
         self.low = -self.high
 
     def __call__(self, worms: Worms) -> FloatArray:
-        seen, height = worms.measures, self._height
-        base = seen.base_centre
-        parts = [(seen.top_centre - base) / height, seen.top_normal, seen.top_velocity / height]
+        measures, height = worms.measures, self._height
+        base = measures.base_centre
+        parts = [(measures.top_centre - base) / height, measures.top_normal, measures.top_velocity / height]
         if self._free:
-            axes = seen.base_frame
-            parts = [(base - self._start) / height, axes[..., 2, :], seen.base_velocity / height, *parts]
+            axes = measures.base_frame
+            parts = [(base - self._start) / height, axes[..., 2, :], measures.base_velocity / height, *parts]
         return np.concatenate(parts, axis=-1)
 
 

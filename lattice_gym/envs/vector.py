@@ -14,9 +14,9 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from lattice_gym.checks import FloatArray, IntArray, choice, items, optional, refused, whole
+from lattice_gym.checks import FloatArray, IntArray, choice, invalid_value, items, optional, whole
 from lattice_gym.envs.core import OK, Mask, Worms
-from lattice_gym.envs.env import METADATA, clipped_command
+from lattice_gym.envs.env import METADATA, clip_command
 from lattice_gym.envs.observation import Observation
 from lattice_gym.envs.pictures import RENDER_MODES, Pictures
 from lattice_gym.envs.registration import warn_of_time_limit
@@ -79,7 +79,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
             self._mode = AutoresetMode(autoreset_mode)
         except ValueError:
             modes = ", ".join(repr(mode.value) for mode in AutoresetMode)
-            raise refused("autoreset_mode", autoreset_mode, f"must be one of {modes}") from None
+            raise invalid_value("autoreset_mode", autoreset_mode, f"must be one of {modes}") from None
         self.render_mode = optional(choice, "render_mode", render_mode, RENDER_MODES)
         self.scene = Scene(goals_apart=self._goals_apart, **arguments)
         self.worms = Worms(self.scene, self.num_envs, num_threads=num_threads)
@@ -90,7 +90,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._pictures = Pictures(self.worms)
         self._random = [seeding.np_random(None) for _ in range(self.num_envs)]
-        self._seen: Observation = None
+        self._observation: Observation = None
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
 
     @property  # type: ignore[misc]
@@ -118,7 +118,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         seeds, (mask, given) = self._seeds(seed), self._options(options)
         if self._limit:
             warn_of_time_limit(self.spec, self.scene.task, self._limit)
-        if self._seen is None and not mask.all():
+        if self._observation is None and not mask.all():
             raise gymnasium.error.ResetNeeded("reset() must be called without a reset_mask first")
         for worm in _worms(mask):
             self.worms.task.check(given[worm])
@@ -128,40 +128,44 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
                 self._random[worm] = seeding.np_random(seeds[worm])
             infos = self._add_info(infos, self._begin(worm, given[worm]), worm)
         self._ended = self._ended & ~mask
-        seen, _ = self.worms.observe()
-        self._seen = seen if mask.all() else _merged(mask, seen, self._seen)
-        return _copied(self._seen), infos
+        observation, _ = self.worms.observe()
+        self._observation = observation if mask.all() else _merge(mask, observation, self._observation)
+        return _copy(self._observation), infos
 
     def step(self, actions: npt.ArrayLike) -> tuple[Observation, FloatArray, Mask, Mask, dict[str, Any]]:
         """Advance every worm by `control_dt`, but for those that are reset instead."""
-        if self._seen is None:
+        if self._observation is None:
             raise gymnasium.error.ResetNeeded("reset() must be called first")
-        command, n_clipped = clipped_command(actions, (self.num_envs, self.scene.n_group))
+        command, n_clipped = clip_command(actions, (self.num_envs, self.scene.n_group))
         if self._mode is AutoresetMode.DISABLED and self._ended.any():
             worms = _worms(self._ended)
             raise gymnasium.error.ResetNeeded(f"worms {worms} have ended and must be reset first")
         live = ~self._ended
         result = self.worms.step(command, live)
         truncated: Mask = live & (self.worms.n_step >= self._limit) if self._limit else np.zeros_like(live)
-        ended = result.over | truncated
-        told: dict[str, Any] = {"reward_terms": result.terms, "status": self._status(), "clipped_actions": n_clipped}
+        ended = result.terminated | truncated
+        step_info: dict[str, Any] = {
+            "reward_terms": result.terms,
+            "status": self._status(),
+            "clipped_actions": n_clipped,
+        }
         outcome = self._outcome_of(ended.nonzero()[0])
         resets = {worm: self._begin(worm) for worm in _worms(~live)}
-        seen, told["clipped_observations"] = self.worms.observe()
+        observation, step_info["clipped_observations"] = self.worms.observe()
         if self.scene.adaptation is not None:
-            told["strength"] = self.worms.strength
+            step_info["strength"] = self.worms.strength
         if self._mode is AutoresetMode.SAME_STEP and ended.any():
-            infos = _masked(told, live & ~ended) | self._final(seen, ended)
-            infos["final_info"] = _masked(told, ended) | _masked({"outcome": outcome}, ended)
+            infos = _mask_infos(step_info, live & ~ended) | self._final(observation, ended)
+            infos["final_info"] = _mask_infos(step_info, ended) | _mask_infos({"outcome": outcome}, ended)
             resets = {worm: self._begin(worm) for worm in _worms(ended)}
-            seen, _ = self.worms.observe()
+            observation, _ = self.worms.observe()
         else:
-            infos = _masked(told, live) | _masked({"outcome": outcome}, ended)
+            infos = _mask_infos(step_info, live) | _mask_infos({"outcome": outcome}, ended)
             self._ended = ended
         for worm, info in resets.items():
             infos = self._add_info(infos, info, worm)
-        self._seen = seen
-        return _copied(seen), result.reward, result.over, truncated, infos
+        self._observation = observation
+        return _copy(observation), result.reward, result.terminated, truncated, infos
 
     @property
     def observation_slices(self) -> dict[str, slice]:
@@ -206,11 +210,15 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
             outcome[name][worms] = values
         return outcome
 
-    def _final(self, seen: Observation, ended: Mask) -> dict[str, Any]:
+    def _final(self, observation: Observation, ended: Mask) -> dict[str, Any]:
         """Last observations of episodes that have ended."""
         final = np.full(self.num_envs, None, dtype=object)
         for worm in _worms(ended):
-            final[worm] = {name: part[worm] for name, part in seen.items()} if isinstance(seen, dict) else seen[worm]
+            final[worm] = (
+                {name: part[worm] for name, part in observation.items()}
+                if isinstance(observation, dict)
+                else observation[worm]
+            )
         return {"final_obs": final, "_final_obs": ended.copy(), "_final_info": ended.copy()}
 
     def _seeds(self, seed: object) -> list[int | None]:
@@ -232,7 +240,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
             fits = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)
             if not (fits and mask.any()):
                 must = f"must be an array of bool of shape ({self.num_envs},), with at least one worm in it"
-                raise refused("options['reset_mask']", mask, must)
+                raise invalid_value("options['reset_mask']", mask, must)
         each = [name for name, value in given.items() if isinstance(value, np.ndarray) and value.ndim > 0]
         for name in each:
             if given[name].shape != (self.num_envs,):
@@ -250,14 +258,14 @@ def _worms(mask: Mask) -> list[int]:
     return worms
 
 
-def _masked(values: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
+def _mask_infos(values: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
     """Infos of some worms as gymnasium has them: arrays with a mask each; nothing where there are none."""
     if not rows.any():
         return {}
     whole, infos = bool(rows.all()), dict[str, Any]()
     for name, value in values.items():
         if isinstance(value, dict):
-            infos[name] = _masked(value, rows)
+            infos[name] = _mask_infos(value, rows)
         elif whole:
             infos[name] = value
         else:
@@ -267,12 +275,16 @@ def _masked(values: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
     return infos
 
 
-def _merged(rows: Mask, new: Observation, old: Observation) -> Observation:
+def _merge(rows: Mask, new: Observation, old: Observation) -> Observation:
     """Observations, new ones in some rows."""
     if isinstance(new, dict):
-        return {name: _merged(rows, part, old[name]) for name, part in new.items()}
+        return {name: _merge(rows, part, old[name]) for name, part in new.items()}
     return np.where(rows[:, None], new, old)
 
 
-def _copied(seen: Observation) -> Observation:
-    return {name: part.copy() for name, part in seen.items()} if isinstance(seen, dict) else seen.copy()
+def _copy(observation: Observation) -> Observation:
+    return (
+        {name: part.copy() for name, part in observation.items()}
+        if isinstance(observation, dict)
+        else observation.copy()
+    )

@@ -1,1 +1,1 @@
-"""What moves and by which laws: rods, assemblies of them, states, measures, energy, the stable step."""
+"""What moves and by which laws: rods, assemblies of them, states, measures, energy, the critical step."""

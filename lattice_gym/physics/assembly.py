@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from lattice_gym.checks import REQUIRED, FloatArray, IntArray, Parameters, count, require
-from lattice_gym.physics.laws.ball import Ball, BallLaw
+from lattice_gym.physics.laws.ball import BallLaw, RigidBall
 from lattice_gym.physics.laws.base import Law, tuple_of
 from lattice_gym.physics.laws.contact import Contact, ContactLaw
 from lattice_gym.physics.laws.damping import DampingLaw
@@ -89,12 +89,12 @@ class RodModel:
     """Rods that contract, in the order of the tensions."""
     lines: tuple[Line, ...] = ()
     """Muscles without nodes; their tensions follow those of `muscles`."""
-    bolus: Ball | None = None
+    ball: RigidBall | None = None
     """Rigid ball that pushes at rods; None is none."""
     gravity: FloatArray | None = None
     """[m/s^2], shape (3,); None is none."""
     medium_density: float = 0.0
-    """Of the fluid around [kg/m^3]: it carries its own weight of what it makes room for."""
+    """Density of the surrounding fluid [kg/m^3], which gives buoyancy."""
     medium_drag: float = 0.0
     """Resistance of that fluid to motion, per speed and length of a rod or line [N s/m^2]."""
     ground: Ground | None = None
@@ -150,12 +150,12 @@ class RodModel:
         return len(self.muscles) + len(self.lines)
 
     @property
-    def balls(self) -> tuple[Ball, ...]:
+    def balls(self) -> tuple[RigidBall, ...]:
         """The ball, or none."""
-        return () if self.bolus is None else (self.bolus,)
+        return () if self.ball is None else (self.ball,)
 
     @property
-    def n_bolus(self) -> int:
+    def n_ball(self) -> int:
         """Number of balls, 0 or 1."""
         return len(self.balls)
 
@@ -166,7 +166,7 @@ class RodModel:
 
     @cached_property
     def node_volume(self) -> FloatArray:
-        """Volume that every node makes room for [m^3], shape (n_node,): its rod's share and that of lines."""
+        """Volume that every node displaces [m^3], shape (n_node,): its rod's share and that of lines."""
         return self._with_lines(
             [rod.mass / rod.density for rod in self.rods],
             [line.mass / line.density for line in self.lines],
@@ -175,7 +175,7 @@ class RodModel:
     @cached_property
     def element_radius(self) -> FloatArray:
         """Radius of every element at rest [m], shape (n_elem,)."""
-        return self.of_rods("radius")
+        return self.rod_array("radius")
 
     @cached_property
     def node_damping(self) -> FloatArray:
@@ -224,8 +224,8 @@ class RodModel:
         """Row of the first element of every Voronoi region, shape (n_elem - n_rod,); the next row is its second."""
         return np.delete(np.arange(self.n_elem), self.element_offset[1:] - 1)
 
-    def of_rods(self, name: str) -> FloatArray:
-        """Constants of all rods one after another, by the name of an array of `Rod`."""
+    def rod_array(self, name: str) -> FloatArray:
+        """Concatenate an array of `Rod`, given by its name, over all rods."""
         return np.concatenate([getattr(rod, name) for rod in self.rods])
 
     @property
@@ -273,20 +273,20 @@ class RodModel:
         return np.array(rods + [line.rest_length for line in self.lines])
 
     @cached_property
-    def held_nodes(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Rows of the nodes that clamps hold, where they rest [m], shape (n, 3), and what of that is rounding [m]."""
-        held = [(clamp.rod, clamp.node) for clamp in self.clamps if clamp.node is not None]
-        place = [self.rods[rod].position[node] for rod, node in held]
-        slack = [FRAME_TOLERANCE * float(self.rods[rod].rest_length.sum()) for rod, _ in held]
-        rows = [int(self.node_offset[rod]) + node for rod, node in held]
-        return np.array(rows, np.int64), np.reshape(place, (-1, 3)), np.array(slack)
+    def clamped_nodes(self) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Rows of clamped nodes, their positions [m], shape (n, 3), and tolerances for rounding [m], shape (n,)."""
+        clamped = [(clamp.rod, clamp.node) for clamp in self.clamps if clamp.node is not None]
+        place = [self.rods[rod].position[node] for rod, node in clamped]
+        tolerance = [FRAME_TOLERANCE * float(self.rods[rod].rest_length.sum()) for rod, _ in clamped]
+        rows = [int(self.node_offset[rod]) + node for rod, node in clamped]
+        return np.array(rows, np.int64), np.reshape(place, (-1, 3)), np.array(tolerance)
 
     @cached_property
-    def held_elements(self) -> tuple[IntArray, FloatArray]:
-        """Rows of the elements that clamps hold, and their directors at rest, shape (n, 3, 3)."""
-        held = [(clamp.rod, clamp.element) for clamp in self.clamps if clamp.element is not None]
-        frames = [self.rods[rod].directors[element] for rod, element in held]
-        rows = [int(self.element_offset[rod]) + element for rod, element in held]
+    def clamped_elements(self) -> tuple[IntArray, FloatArray]:
+        """Rows of clamped elements, and their directors, shape (n, 3, 3)."""
+        clamped = [(clamp.rod, clamp.element) for clamp in self.clamps if clamp.element is not None]
+        frames = [self.rods[rod].directors[element] for rod, element in clamped]
+        rows = [int(self.element_offset[rod]) + element for rod, element in clamped]
         return np.array(rows, np.int64), np.reshape(frames, (-1, 3, 3))
 
     def scaled(self, structure: float, muscle: float, damping: float) -> RodModel:
@@ -297,9 +297,7 @@ class RodModel:
         muscles, model = set(self.muscles), copy(self)
         stiffness = [muscle if index in muscles else structure for index in range(self.n_rod)]
         rods = tuple(rod.scaled(factor, damping) for rod, factor in zip(self.rods, stiffness, strict=True))
-        lines = tuple(
-            replace(line, stiffness=muscle * line.stiffness, damping=damping * line.damping) for line in self.lines
-        )
+        lines = tuple(line.scaled(muscle, damping) for line in self.lines)
         for cached in ("node_damping", "laws"):
             vars(model).pop(cached, None)
         vars(model).update(rods=rods, lines=lines)
@@ -316,11 +314,11 @@ class RodModel:
     def rest_state(self) -> RodState:
         """Return the state in which every rod has the shape it was given and nothing moves."""
         return RodState(
-            position=self.of_rods("position"),
+            position=self.rod_array("position"),
             velocity=np.zeros((self.n_node, 3)),
-            directors=self.of_rods("directors"),
+            directors=self.rod_array("directors"),
             omega=np.zeros((self.n_elem, 3)),
-            bolus_position=np.reshape([ball.position for ball in self.balls], (-1, 3)),
-            bolus_velocity=np.zeros((self.n_bolus, 3)),
-            bolus_omega=np.zeros((self.n_bolus, 3)),
+            ball_position=np.reshape([ball.position for ball in self.balls], (-1, 3)),
+            ball_velocity=np.zeros((self.n_ball, 3)),
+            ball_omega=np.zeros((self.n_ball, 3)),
         )

@@ -1,8 +1,8 @@
-"""Where the energy of an assembly is, and the ledger that says where it came from and went.
+"""Stored energy of an assembly, and the ledger of what entered and left.
 
-What each law stores stands in its file. Kinetic energy is that of nodes and of the spin of elements; a ball's is with
-its law. No potential gives the law of rods quite (`laws.elasticity`): what that leaves is part of the ledger's
-residual, like the spin that a stretching element carries, and the integration error.
+Each law's file has the energy that it stores. Here is the kinetic energy of nodes and of the spin of elements; that of
+a ball is with its law. PyElastica's law of rods has no exact potential (`laws.elasticity`): the difference is part of
+the ledger's residual, as are the spin that a stretching element carries and the integration error.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.state import RodState
 
 ENERGY_TOLERANCE = 0.1
-"""Share of the energy at stake that may be spurious within one call.
+"""Largest spurious energy within one call, as a share of the ledger's scale.
 
-The law is no elastic body's, so that even a fine step finds some: at most 4.7 % in runs that are right to 1 % of their
-height, 0.03 % in their median (`python -m lattice_gym.benchmarks divergence`), though 41 % in one violent snap, at any
-step. An unstable step multiplies its energy within a few steps and is soon beyond any share.
+The law of rods has no exact potential, so even a fine step makes some: at most 4.7 % in runs that are right to 1 % of
+their height, 0.03 % in the median (`python -m lattice_gym.benchmarks divergence`), but 41 % in one violent snap, at any
+step. An unstable step multiplies the energy within a few steps, and soon exceeds any tolerance.
 """
 
-LEAST_STRAIN = 1e-4
-"""Energy below that of all rods stretched by this much is too little to judge a run by."""
+MIN_STRAIN = 1e-4
+"""Strain of all rods whose energy is negligible: less energy is too little to judge a run by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class StoredEnergy:
     parts: Mapping[str, FloatArray]
     """By name and place [J]: "translation" of every node, "rotation" of every element, and what each law stores."""
     weight: float = 0.0
-    """What of it counts from a zero that can be chosen at will [J]."""
+    """The part of it whose zero is arbitrary, that of weights [J]."""
 
     def __repr__(self) -> str:
         return f"StoredEnergy({self.total:.6g} J: {', '.join(self.parts)})"
@@ -71,9 +71,9 @@ class Ledger:
     residual: float
     """What is missing; where it is negative, energy is spurious."""
     scale: float
-    """Energy at stake: the most that was stored at either end, and all work and dissipation.
+    """What the residual is compared with: the larger stored energy of both states plus all work and dissipation.
 
-    Of weights it is the work, as their energy counts from anywhere.
+    Weights count by their work, as the zero of their energy is arbitrary.
     """
 
 
@@ -82,8 +82,8 @@ class EnergyMeter:
 
     def __init__(self, model: RodModel) -> None:
         self.model = model
-        self._rest, self._inertia = model.of_rods("rest_length"), model.of_rods("inertia")
-        self.least = 0.5 * LEAST_STRAIN**2 * float(model.of_rods("stretch_stiffness") @ self._rest)
+        self._rest, self._inertia = model.rod_array("rest_length"), model.rod_array("inertia")
+        self.negligible = 0.5 * MIN_STRAIN**2 * float(model.rod_array("stretch_stiffness") @ self._rest)
         """Energy that counts as none [J]."""
 
     def stored(self, state: RodState) -> StoredEnergy:
@@ -107,7 +107,7 @@ class EnergyMeter:
         """Work of the constant forces on nodes and on the ball between two states [J]."""
         return float(sum(law.work(before, after) for law in self.model.laws))
 
-    def most(self, energy: StoredEnergy) -> tuple[int, int]:
+    def peak_element(self, energy: StoredEnergy) -> tuple[int, int]:
         """Rod and element that hold most, by kinetic, stretch and bending energy."""
         parts, low, left = energy.parts, self.model.lower_node, self.model.left_element
         share = parts["rotation"] + parts["stretch"]
@@ -119,8 +119,8 @@ class EnergyMeter:
         return rod, element - int(self.model.element_offset[rod])
 
 
-def ledger(before: StoredEnergy, after: StoredEnergy, flow: Flow, least: float) -> Ledger:
-    """Ledger between two states; `least` is the energy that counts as none [J]."""
+def ledger(before: StoredEnergy, after: StoredEnergy, flow: Flow, negligible: float) -> Ledger:
+    """Ledger between two states; `negligible` is the energy that counts as none [J]."""
     stored = after.total - before.total
     high, low = before.weight, after.weight
     moved = abs(flow.muscle_work) + abs(flow.load_work) + abs(low - high) + abs(flow.dissipated)
@@ -130,5 +130,5 @@ def ledger(before: StoredEnergy, after: StoredEnergy, flow: Flow, least: float) 
         stored=stored,
         dissipated=flow.dissipated,
         residual=flow.muscle_work + flow.load_work - stored - flow.dissipated,
-        scale=max(before.total - high, after.total - low, least) + moved,
+        scale=max(before.total - high, after.total - low, negligible) + moved,
     )

@@ -18,18 +18,18 @@ from lattice_gym.body.lattice import Lattice
 from lattice_gym.checks import FloatArray, IntArray, array, number, require, wrap_angle
 from lattice_gym.physics.assembly import RodModel
 
-LEAST_BEND = 1e-9
+MIN_BEND = 1e-9
 """A top that leans by less is upright [rad]: rounding has a direction too."""
-LEAST_AMPLITUDE = 5e-4
+MIN_AMPLITUDE = 5e-4
 """A wave of a smaller amplitude, as a share of the largest radius, counts as none: half of what may be commanded."""
-LEAST_COHERENCE = 0.9
+MIN_COHERENCE = 0.9
 """Motion of which the dominant mode has a smaller share (of the power) is no wave but noise.
 
 Measured over two periods of a typical wave (27 to 60 control steps): 0.999 for the gait of gaits.py, 0.92 with three
 tenths of its ring commands random, at most 0.42 for white noise, 0.67 for random commands of muscles or rings and 0.91
 for those of columns, which move all levels together. Recordings of a dozen rows and fewer are too short to tell.
 """
-LEAST_SHARE = 0.02
+MIN_SHARE = 0.02
 """Levels that move less than this share of the level that moves most are left out of a travelling wave."""
 STANDING = 0.05
 """A wave of a lower index goes nowhere: it has no direction and no speed."""
@@ -173,7 +173,7 @@ def bend_vector(lattice: Lattice, position: FloatArray) -> FloatArray:
     """
     normal = _in_base(lattice, position, top_normal(lattice, position)[..., None, :])[..., 0, :]
     horizontal = np.hypot(normal[..., 0], normal[..., 1])
-    upright = horizontal < LEAST_BEND
+    upright = horizontal < MIN_BEND
     angle = np.arctan2(horizontal, normal[..., 2]) / np.where(upright, 1.0, horizontal)
     over = np.stack([np.where(normal[..., 2] > 0.0, 0.0, np.pi), np.zeros_like(horizontal)], axis=-1)
     return np.where(upright[..., None], over, normal[..., :2] * angle[..., None])
@@ -229,28 +229,29 @@ def _rings(lattice: Lattice, position: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 @dataclass(frozen=True)
-class Lodging:
-    """Where in the body points lie: `lodging`; all of shape (...,)."""
+class CentrelineProjection:
+    """Projection of points on the body's centreline, see `centreline_projection`; all of shape (...,)."""
 
     height: FloatArray
-    """Rest height of the place on the body's axis nearest to it [m]; 0 or the full height where it is out by an end."""
-    outside: npt.NDArray[np.bool_]
-    """Beside the body: further from the axis than the ring there."""
+    """Rest height of the nearest point of the centreline [m]; 0 or the full height where the point is beyond an end."""
+    beside: npt.NDArray[np.bool_]
+    """Whether a point is beside the body: further from the centreline than the ring there."""
     end: IntArray
-    """+1 out by the top end, -1 by the bottom end, 0 between them."""
+    """+1 beyond the top end, -1 beyond the bottom end, 0 between them."""
 
     @property
-    def left(self) -> npt.NDArray[np.bool_]:
-        """Out of the body, whichever way."""
-        out: npt.NDArray[np.bool_] = self.outside | (self.end != 0)
+    def outside(self) -> npt.NDArray[np.bool_]:
+        """Whether a point is outside the body: beside it or beyond an end."""
+        out: npt.NDArray[np.bool_] = self.beside | (self.end != 0)
         return out
 
 
-def lodging(lattice: Lattice, position: FloatArray, point: FloatArray) -> Lodging:
-    """Place of points [m], shape (..., 3), in the body, whose axis runs from ring centre to ring centre.
+def centreline_projection(lattice: Lattice, position: FloatArray, point: FloatArray) -> CentrelineProjection:
+    """Project points [m], shape (..., 3), on the body's centreline, which runs from ring centre to ring centre.
 
-    It is out by an end where it lies beyond the plane through the last ring's centre across the axis there; else beside
-    the body where its distance from the axis exceeds the radii of the two rings around it, taken linear between them.
+    A point is beyond an end where it lies beyond the plane through the last ring's centre normal to the centreline
+    there. Else it is beside the body where its distance from the centreline exceeds the radius interpolated linearly
+    between the two rings around it.
     """
     centre, radius = _rings(lattice, position)
     side, way = np.diff(centre, axis=-2), point[..., None, :] - centre[..., :-1, :]
@@ -267,7 +268,7 @@ def lodging(lattice: Lattice, position: FloatArray, point: FloatArray) -> Lodgin
     lower, upper = lattice.level_height[k[..., 0]], lattice.level_height[k[..., 0] + 1]
     top = float(lattice.level_height[-1])
     height = np.where(end == 0, lower + share * (upper - lower), np.where(end > 0, top, 0.0))
-    return Lodging(height, (nearest > low + share * (high - low)) & (end == 0), end)
+    return CentrelineProjection(height, (nearest > low + share * (high - low)) & (end == 0), end)
 
 
 @dataclass(frozen=True)
@@ -296,7 +297,7 @@ def travelling_wave(radii: FloatArray, dt: float, level_height: FloatArray) -> T
     levels. The index is the reciprocal condition number of [Re u, Im u]. Speed and direction come from straight lines
     through the unwrapped phases over time and height, so levels must lie closer than half a wavelength.
 
-    Motion that no one mode dominates (LEAST_COHERENCE) or that is too small (LEAST_AMPLITUDE) is no wave: it has an
+    Motion that no one mode dominates (MIN_COHERENCE) or that is too small (MIN_AMPLITUDE) is no wave: it has an
     amplitude, and index, direction and speed 0.
 
     The index of a pure wave is 1 where the levels span a whole number of half wavelengths, and somewhat lower elsewhere
@@ -319,15 +320,15 @@ def travelling_wave(radii: FloatArray, dt: float, level_height: FloatArray) -> T
     require(bool((np.diff(level_height) > 0.0).all()), f"level_height = {level_height.tolist()}: must rise")
     motion = radii - radii.mean(axis=0)
     size = np.sqrt(np.mean(motion**2, axis=0))
-    moving = size > LEAST_SHARE * float(size.max())
+    moving = size > MIN_SHARE * float(size.max())
     if not moving.any():
         return TravellingWave(0.0, 0, 0.0)
     signal = _analytic(motion[:, moving]).T
     modes, strength, _ = np.linalg.svd(signal, full_matrices=False)
     mode: npt.NDArray[np.complex128] = modes[:, 0]
     amplitude = float(strength[0]) / float(np.sqrt(radii.size))
-    coherent = strength[0] ** 2 >= LEAST_COHERENCE * np.sum(strength**2)
-    if len(mode) < 2 or not coherent or amplitude < LEAST_AMPLITUDE * float(np.abs(radii).max()):
+    coherent = strength[0] ** 2 >= MIN_COHERENCE * np.sum(strength**2)
+    if len(mode) < 2 or not coherent or amplitude < MIN_AMPLITUDE * float(np.abs(radii).max()):
         return TravellingWave(0.0, 0, 0.0, amplitude)
     spread = np.linalg.svd(np.stack([mode.real, mode.imag], axis=1), compute_uv=False)
     index = float(spread[1] / spread[0])
@@ -385,12 +386,12 @@ def muscle_lengths(model: RodModel, position: FloatArray) -> FloatArray:
 def muscle_rates(model: RodModel, position: FloatArray, velocity: FloatArray) -> FloatArray:
     """Rate at which every muscle grows longer [m/s], shape (..., n_muscle): the derivative of `muscle_lengths`."""
     (lower, start), (one, other) = model.muscle_elements, model.line_nodes
-    along = _parting(position, velocity, lower, lower + 1)
+    along = _separation_rate(position, velocity, lower, lower + 1)
     rods: FloatArray = np.add.reduceat(along, start, axis=-1) if start.size else along
-    return np.concatenate([rods, _parting(position, velocity, other, one)], axis=-1) if one.size else rods
+    return np.concatenate([rods, _separation_rate(position, velocity, other, one)], axis=-1) if one.size else rods
 
 
-def _parting(position: FloatArray, velocity: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
+def _separation_rate(position: FloatArray, velocity: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
     """Rate at which the distance of pairs of nodes grows [m/s], shape (..., n_pair)."""
     apart = position.take(second, axis=-2) - position.take(first, axis=-2)
     moving = velocity.take(second, axis=-2) - velocity.take(first, axis=-2)

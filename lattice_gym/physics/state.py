@@ -20,7 +20,7 @@ _DRIFT_TOLERANCE = 1e-6
 """Frames are turned step by step and never mended: a million steps leave about 1e-10."""
 
 
-def _no_bolus() -> FloatArray:
+def _no_ball() -> FloatArray:
     return np.zeros((0, 3))
 
 
@@ -36,18 +36,18 @@ class RodState:
     """Rows d1, d2, d3 of each element, shape (n_elem, 3, 3)."""
     omega: FloatArray
     """Angular velocities in the material frame [rad/s], shape (n_elem, 3)."""
-    bolus_position: FloatArray = field(default_factory=_no_bolus)
-    """Position of the ball's centre [m], shape (n_bolus, 3)."""
-    bolus_velocity: FloatArray = field(default_factory=_no_bolus)
-    """[m/s], shape (n_bolus, 3)"""
-    bolus_omega: FloatArray = field(default_factory=_no_bolus)
-    """Angular velocity in the laboratory frame [rad/s], shape (n_bolus, 3)."""
+    ball_position: FloatArray = field(default_factory=_no_ball)
+    """Position of the ball's centre [m], shape (n_ball, 3)."""
+    ball_velocity: FloatArray = field(default_factory=_no_ball)
+    """[m/s], shape (n_ball, 3)"""
+    ball_omega: FloatArray = field(default_factory=_no_ball)
+    """Angular velocity in the laboratory frame [rad/s], shape (n_ball, 3)."""
     time: float = 0.0
     """[s]"""
 
     def __repr__(self) -> str:
-        n_node, n_elem, n_bolus = map(len, (self.position, self.directors, self.bolus_position))
-        return f"RodState({n_node} nodes, {n_elem} elements, {n_bolus} balls, time {self.time:.6g} s)"
+        n_node, n_elem, n_ball = map(len, (self.position, self.directors, self.ball_position))
+        return f"RodState({n_node} nodes, {n_elem} elements, {n_ball} balls, time {self.time:.6g} s)"
 
     def copy(self) -> RodState:
         """Return a state that shares no memory with this one."""
@@ -61,9 +61,9 @@ class RodState:
             "velocity": (model.n_node, 3),
             "directors": (model.n_elem, 3, 3),
             "omega": (model.n_elem, 3),
-            "bolus_position": (model.n_bolus, 3),
-            "bolus_velocity": (model.n_bolus, 3),
-            "bolus_omega": (model.n_bolus, 3),
+            "ball_position": (model.n_ball, 3),
+            "ball_velocity": (model.n_ball, 3),
+            "ball_omega": (model.n_ball, 3),
         }
         for name, shape in shapes.items():
             array(f"RodState.{name}", getattr(self, name), shape)
@@ -73,10 +73,10 @@ class RodState:
         require(bool(skew < _DRIFT_TOLERANCE), "RodState.directors: must be orthonormal")
         right_handed = bool((np.sum(np.cross(d1, d2) * d3, axis=1) > 0.0).all())
         require(right_handed, "RodState.directors: must be right-handed")
-        (nodes, place, slack), (elements, frames) = model.held_nodes, model.held_elements
+        (nodes, place, tolerance), (elements, frames) = model.clamped_nodes, model.clamped_elements
         clamped = [clamp for clamp in model.clamps if clamp.node is not None]
         gap = np.abs(self.position[nodes] - place)
-        _refuse_any(~(gap < slack[:, None]), clamped, "RodState.position: {} must stay at rest")
+        _refuse_any(~(gap < tolerance[:, None]), clamped, "RodState.position: {} must stay at rest")
         _refuse_any(self.velocity[nodes] != 0.0, clamped, "RodState.velocity: {} moves")
         clamped = [clamp for clamp in model.clamps if clamp.element is not None]
         turn = np.abs(self.directors[elements] - frames).reshape(-1, 9)
@@ -97,10 +97,10 @@ class Motion(NamedTuple):
     """Node positions [m], shape (n_worm, n_node, 3)."""
     velocity: FloatArray
     """Node velocities [m/s], shape (n_worm, n_node, 3)."""
-    bolus_position: FloatArray
-    """Positions of the balls' centres [m], shape (n_worm, n_bolus, 3)."""
-    bolus_velocity: FloatArray
-    """[m/s], shape (n_worm, n_bolus, 3)"""
+    ball_position: FloatArray
+    """Positions of the balls' centres [m], shape (n_worm, n_ball, 3)."""
+    ball_velocity: FloatArray
+    """[m/s], shape (n_worm, n_ball, 3)"""
 
     def __repr__(self) -> str:
         return f"Motion({len(self.position)} worms, {self.position.shape[-2]} nodes)"
@@ -108,7 +108,7 @@ class Motion(NamedTuple):
     @classmethod
     def of(cls, state: RodState) -> Motion:
         """Motion of a single worm."""
-        return cls(state.position[None], state.velocity[None], state.bolus_position[None], state.bolus_velocity[None])
+        return cls(state.position[None], state.velocity[None], state.ball_position[None], state.ball_velocity[None])
 
     def rows(self, worms: IntArray) -> Motion:
         """Motion of some of the worms, shape (n,) of their rows."""

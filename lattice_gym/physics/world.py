@@ -1,11 +1,11 @@
-"""What a scene has besides the worm: medium, ground, bolus, contact."""
+"""What a scene has besides the worm: medium, ground, ball, contact."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from lattice_gym.checks import Parameters, checked, flag
-from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.medium import Medium
@@ -17,7 +17,7 @@ class World(Parameters):
 
     medium: Medium | None = checked(None, Medium.resolve)
     ground: Ground | None = checked(None, Ground.resolve)
-    bolus: Bolus | None = checked(None, Bolus.resolve)
+    ball: Ball | None = checked(None, Ball.resolve)
     contact: Contact | None = checked(None, Contact.resolve)
     lying: bool = checked(False, flag)
     """The axis along +x instead of +z, the lowest surface of a rod at z = 0."""

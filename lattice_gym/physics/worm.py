@@ -11,7 +11,7 @@ import numpy as np
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import Muscle, MuscleLayout
 from lattice_gym.physics.assembly import Clamp, RodModel
-from lattice_gym.physics.laws.ball import Ball
+from lattice_gym.physics.laws.ball import RigidBall
 from lattice_gym.physics.laws.hill import Hill
 from lattice_gym.physics.laws.joints import Joint
 from lattice_gym.physics.laws.lines import Line
@@ -24,12 +24,12 @@ def build_model(
 ) -> RodModel:
     """Model of a lattice worm: its structure rods first, then a rod for each active muscle of `layout`, in order.
 
-    A `world` adds what surrounds it; see `World`. With muscles as lines, which touch nothing, there can be no bolus.
+    A `world` adds what surrounds it; see `World`. With muscles as lines, which touch nothing, there can be no ball.
     """
     design, world = lattice.design, World() if world is None else world
     medium = world.medium
-    if world.bolus is not None and design.muscle_model == "line":
-        raise ValueError('design.muscle_model = "line": world.bolus needs muscles as rods, as lines touch nothing')
+    if world.ball is not None and design.muscle_model == "line":
+        raise ValueError('design.muscle_model = "line": world.ball needs muscles as rods, as lines touch nothing')
     structure = [
         Rod(
             position=lattice.position[i],
@@ -55,7 +55,7 @@ def build_model(
         clamps=tuple(Clamp(i, node=0, element=0) for i in range(lattice.n_rod)) if design.base == "clamped" else (),
         muscles=() if as_lines else tuple(range(lattice.n_rod, lattice.n_rod + len(muscles))),
         lines=lines if as_lines else (),
-        bolus=ball,
+        ball=ball,
         gravity=None if medium is None else np.array([0.0, 0.0, -medium.gravity]),
         medium_density=0.0 if medium is None else medium.density,
         medium_drag=0.0 if medium is None else medium.drag,
@@ -65,27 +65,27 @@ def build_model(
     )
 
 
-def _ball(lattice: Lattice, world: World) -> Ball | None:
-    """Ball of a world with a bolus, on the axis of the upright lattice."""
-    bolus, medium, design = world.bolus, world.medium, lattice.design
-    if bolus is None:
+def _ball(lattice: Lattice, world: World) -> RigidBall | None:
+    """Rigid ball of a world that has one, on the axis of the upright lattice."""
+    ball, medium, design = world.ball, world.medium, lattice.design
+    if ball is None:
         return None
-    if bolus.level > design.n_segment:
-        raise ValueError(f"Bolus.level = {bolus.level!r}: must not be above the top level, {design.n_segment}")
-    volume = 4.0 / 3.0 * math.pi * bolus.radius**3
-    weight = 0.0 if medium is None else (bolus.density - medium.density) * volume * medium.gravity
-    return Ball(
-        position=np.array([0.0, 0.0, bolus.level * design.height / design.n_segment]),
-        radius=bolus.radius,
-        mass=bolus.density * volume,
-        stiffness=bolus.stiffness,
-        damping=bolus.damping,
-        friction=bolus.friction,
+    if ball.level > design.n_segment:
+        raise ValueError(f"Ball.level = {ball.level!r}: must not be above the top level, {design.n_segment}")
+    volume = 4.0 / 3.0 * math.pi * ball.radius**3
+    weight = 0.0 if medium is None else (ball.density - medium.density) * volume * medium.gravity
+    return RigidBall(
+        position=np.array([0.0, 0.0, ball.level * design.height / design.n_segment]),
+        radius=ball.radius,
+        mass=ball.density * volume,
+        stiffness=ball.stiffness,
+        damping=ball.damping,
+        friction=ball.friction,
         force=(0.0, 0.0, -weight),
     )
 
 
-def _laid_down(rods: Sequence[Rod], ball: Ball | None) -> tuple[list[Rod], Ball | None]:
+def _laid_down(rods: Sequence[Rod], ball: RigidBall | None) -> tuple[list[Rod], RigidBall | None]:
     """Turn rods and ball about y, from +z to +x, and lift them until the rods' lowest surface touches z = 0."""
     turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     shift = np.array([0.0, 0.0, -min(float((rod.position @ turn[:, 2] - node_radius(rod)).min()) for rod in rods)])

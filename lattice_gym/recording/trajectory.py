@@ -16,17 +16,18 @@ import numpy.typing as npt
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import MuscleLayout, resolve_layout
-from lattice_gym.checks import FloatArray, array, instance, items, number, refused, require
+from lattice_gym.checks import FloatArray, array, instance, invalid_value, items, number, require
 from lattice_gym.physics.world import World
 from lattice_gym.recording.files import replacing
 
 FORMAT = "lattice_gym trajectory"
-VERSION, UNMARKED_VERSION = 3, 2
-"""Version of the format that is written, and the one before, which has no markers and is read too."""
+VERSION, OLD_NAME_VERSION, UNMARKED_VERSION = 4, 3, 2
+"""Version of the format that is written, and two before it, which are read too: 3 calls the ball "bolus", and so does
+2, which has no markers."""
 ARRAYS: dict[str, npt.DTypeLike] = {
     "time": np.float64,
     "position": np.float32,
-    "bolus": np.float32,
+    "ball": np.float32,
     "activation": np.float32,
     "reward": np.float64,
     "markers": np.float32,
@@ -78,8 +79,8 @@ class Trajectory:
     """Name of what was asked of the worm."""
     world: World = field(default_factory=World)
     """What was around it."""
-    bolus: Frame | None = None
-    """Places of the ball [m], shape (n_frame, n_bolus, 3), n_bolus 1 in a world that has one and else 0; None: none."""
+    ball: Frame | None = None
+    """Places of the ball [m], shape (n_frame, n_ball, 3), n_ball 1 in a world that has one and else 0; None: none."""
     markers: Frame | None = None
     """Places that the task asked for [m], to mark in every picture, shape (n_marker, 3); None: none."""
 
@@ -92,8 +93,8 @@ class Trajectory:
         n_frame = len(array("Trajectory.time", self.time, ("n_frame",)))
         require(n_frame > 0, "Trajectory.time is empty: must hold at least one frame")
         of_frame = _shapes(self.design, self.layout, self.world)
-        if self.bolus is None:
-            object.__setattr__(self, "bolus", np.empty((n_frame, 0, 3)))
+        if self.ball is None:
+            object.__setattr__(self, "ball", np.empty((n_frame, 0, 3)))
         if self.markers is None:
             object.__setattr__(self, "markers", np.empty((0, 3)))
         for name in ARRAYS:
@@ -112,7 +113,7 @@ class Trajectory:
         span = f"{self.n_frame} frames from {self.time[0]:g} to {self.time[-1]:g} s"
         worm = f"{self.position.shape[1]} nodes, {len(self.layout)} muscles"
         marked = 0 if self.markers is None else len(self.markers)
-        return f"Trajectory({self.task}: {span}, {worm}{', a ball' * bool(self.world.bolus)}, {marked} markers)"
+        return f"Trajectory({self.task}: {span}, {worm}{', a ball' * bool(self.world.ball)}, {marked} markers)"
 
     @property
     def n_frame(self) -> int:
@@ -170,14 +171,14 @@ class Recorder:
         activation: npt.ArrayLike,
         reward: float = 0.0,
         outcome: str = "",
-        bolus: npt.ArrayLike | None = None,
+        ball: npt.ArrayLike | None = None,
     ) -> None:
         """Copy a frame.
 
         Time [s], positions (n_node, 3) [m], activations (n_muscle,), reward, line for the picture, and the place of the
-        ball (n_bolus, 3) [m] in a world that has one. What is wrong is refused here, with a ValueError, not later.
+        ball (n_ball, 3) [m] in a world that has one. What is wrong is refused here, with a ValueError, not later.
         """
-        arrays = {"position": position, "activation": activation, "bolus": np.empty((0, 3)) if bolus is None else bolus}
+        arrays = {"position": position, "activation": activation, "ball": np.empty((0, 3)) if ball is None else ball}
         self._frames.append(
             {
                 "time": number("time", time, unit="s"),
@@ -200,8 +201,8 @@ class Recorder:
 
 def _shapes(design: LatticeDesign, layout: MuscleLayout, world: World) -> dict[str, tuple[int, ...]]:
     """Shape of what each array holds of one frame."""
-    n_bolus = 0 if world.bolus is None else 1
-    arrays = {"position": (n_nodes(design, layout), 3), "activation": (len(layout),), "bolus": (n_bolus, 3)}
+    n_ball = 0 if world.ball is None else 1
+    arrays = {"position": (n_nodes(design, layout), 3), "activation": (len(layout),), "ball": (n_ball, 3)}
     return {"time": (), "reward": (), **arrays}
 
 
@@ -214,12 +215,15 @@ def _checked(label: str, values: npt.ArrayLike, shape: tuple[int | str, ...], na
 def _text(name: str, value: object) -> str:
     if isinstance(value, str):
         return value
-    raise refused(name, value, "must be text")
+    raise invalid_value(name, value, "must be text")
 
 
 def _unpacked(packed: dict[str, bytes]) -> dict[str, Any]:
     """Arguments of Trajectory from the members of its file."""
     version, known = VERSION, ["meta", *ARRAYS]
+    if "bolus.npy" in packed:
+        version = OLD_NAME_VERSION
+        packed = {name.replace("bolus", "ball"): content for name, content in packed.items()}
     if "markers.npy" not in packed:
         version = UNMARKED_VERSION
         known.remove("markers")
@@ -240,11 +244,17 @@ def _unpacked(packed: dict[str, bytes]) -> dict[str, Any]:
         raise ValueError(f"it is {meta['format']!r} version {meta['version']!r}; must be version {version}")
     if not isinstance(meta["outcome"], list) or not all(isinstance(meta[name], str) for name in ("layout", "world")):
         raise ValueError("meta: outcome must be a list, layout and world JSON text")
+    world = json.loads(meta["world"])
     return {
         **members,
         "task": meta["task"],
         "outcome": tuple(meta["outcome"]),
         "design": LatticeDesign.from_json(meta["design"]),
         "layout": MuscleLayout.from_dict(json.loads(meta["layout"])),
-        "world": World.from_dict(json.loads(meta["world"])),
+        "world": World.from_dict(world if version == VERSION else _of_before(world)),
     }
+
+
+def _of_before(world: dict[str, Any]) -> dict[str, Any]:
+    """World of an older file, in which the ball had another name."""
+    return {"ball" if name == "bolus" else name: part for name, part in world.items()}

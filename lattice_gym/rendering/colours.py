@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from lattice_gym.checks import FloatArray
 
-ROD, SITE, PLATE, BOLUS, TEXT, HAZE = "#a9b3bf", "#8c97a5", "#e6eaee", "#5b8db8", "#2b3440", "#ffffff"
+ROD, SITE, PLATE, BALL, TEXT, HAZE = "#a9b3bf", "#8c97a5", "#e6eaee", "#5b8db8", "#2b3440", "#ffffff"
 MARKER, TOP = "#139a53", "#1c2733"
 # From 0 to 1 lightness falls evenly, by 12 to 14 units of CIELAB a step.
 ACTIVATION = ("#f7e6c9", "#f7b98b", "#ee8262", "#d8474c", "#ad1745", "#76093f")

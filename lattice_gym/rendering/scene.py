@@ -31,15 +31,15 @@ RGB = npt.NDArray[np.uint8]
 ROD_SCALE, MUSCLE_SCALE, SITE_SCALE = 0.42, 0.56, 0.56
 # Pieces that each is drawn in at least, and the share of its radius that a muscle loses towards its ends.
 ROD_PIECES, MUSCLE_PIECES, TAPER = 32, 8, 0.45
-# Corners around a bolus, or a marker.
-BOLUS_CORNERS = 48
+# Corners around a ball, or a marker.
+BALL_CORNERS = 48
 # Radii of a marker and of the top's centre beside it, in diameters of the worm.
 MARKER_RADIUS, TOP_RADIUS = 0.06, 0.035
-# How far what nothing hides comes forward, in units of depth, and how strongly a bolus shows through what is before it.
-FORWARD, BOLUS_GLOW = -1e6, 0.45
+# Depth offset of what is drawn in front of everything, and opacity with which a ball shows through what is before it.
+FORWARD, BALL_GLOW = -1e6, 0.45
 # Elements that a muscle without nodes is drawn with.
 LINE_ELEMENTS = 2
-# What lies furthest back is paled by this share, as by haze.
+# Share of white in the colour of what is furthest from the camera.
 HAZE = 0.6
 MATERIAL = {"ambient": 0.35, "diffuse": 0.75, "specular": 0.1, "specular_power": 25}
 # Where the lights stand about a camera at (0, 0, 1) that looks at the origin, and how strong they are.
@@ -174,17 +174,17 @@ class Renderer:
         self._sites = Balls(lattice.n_site, SITE_SCALE * lattice.design.structure_radius)
         self._muscles = Tubes(model, model.muscles, MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if muscles else None
         self._lines = Tubes(lines, range(lines.n_rod), MUSCLE_SCALE, MUSCLE_PIECES, TAPER) if lines else None
-        self._bolus = Balls(1, model.bolus.radius, BOLUS_CORNERS) if model.bolus else None
-        self._markers = Balls(n_marker, MARKER_RADIUS * lattice.design.diameter, BOLUS_CORNERS) if n_marker else None
-        self._top = Balls(1, TOP_RADIUS * lattice.design.diameter, BOLUS_CORNERS) if n_marker else None
+        self._ball = Balls(1, model.ball.radius, BALL_CORNERS) if model.ball else None
+        self._markers = Balls(n_marker, MARKER_RADIUS * lattice.design.diameter, BALL_CORNERS) if n_marker else None
+        self._top = Balls(1, TOP_RADIUS * lattice.design.diameter, BALL_CORNERS) if n_marker else None
         for part in self._parts():
             actor = self._plotter.add_mesh(part.mesh, scalars="colour", rgb=True, smooth_shading=False, **MATERIAL)
             actor.prop.interpolation = "Phong"
             if part in (self._markers, self._top):
                 _bring_forward(actor, 2.0 if part is self._top else 1.0)
-        if self._bolus:
+        if self._ball:
             glow = self._plotter.add_mesh(
-                self._bolus.mesh, scalars="colour", rgb=True, opacity=BOLUS_GLOW, culling="back", **MATERIAL
+                self._ball.mesh, scalars="colour", rgb=True, opacity=BALL_GLOW, culling="back", **MATERIAL
             )
             glow.prop.interpolation = "Phong"
             _bring_forward(glow)
@@ -210,20 +210,20 @@ class Renderer:
         activation: npt.ArrayLike | None = None,
         time: float | None = None,
         text: str = "",
-        bolus: npt.ArrayLike | None = None,
+        ball: npt.ArrayLike | None = None,
         markers: npt.ArrayLike | None = None,
     ) -> RGB:
         """Picture, shape (height, width, 3).
 
         Takes node positions (n_node, 3) [m], activations (n_muscle,) from 0 (the default) to 1, a time [s], a line of
-        text to print, the place of the ball (n_bolus, 3) [m], by default where it starts, and places to mark
+        text to print, the place of the ball (n_ball, 3) [m], by default where it starts, and places to mark
         (n_marker, 3) [m]. Wrong shapes and numbers that are not finite are a ValueError.
         """
         model = self._model
         x = array("position", position, (model.n_node, 3))
         relaxed = np.zeros(model.n_muscle)
         a = array("activation", relaxed if activation is None else activation, relaxed.shape, *ACTIVATION_RANGE)
-        centre = array("bolus", model.rest_state().bolus_position if bolus is None else bolus, (model.n_bolus, 3))
+        centre = array("ball", model.rest_state().ball_position if ball is None else ball, (model.n_ball, 3))
         marked = array("markers", np.empty((0, 3)) if markers is None else markers, (self._n_marker, 3))
         self._move(self._rods, x, rgb(colours.ROD))
         self._move(self._sites, x[self._lattice.site_nodes].mean(axis=1), rgb(colours.SITE))
@@ -231,8 +231,8 @@ class Renderer:
             self._move(self._muscles, x, activation_colour(a[: len(model.muscles)]))
         if self._lines:
             self._move(self._lines, _line_nodes(model, x), activation_colour(a[len(model.muscles) :]))
-        if self._bolus:
-            self._move(self._bolus, centre, rgb(colours.BOLUS))
+        if self._ball:
+            self._move(self._ball, centre, rgb(colours.BALL))
         if self._markers:
             self._move(self._markers, marked, rgb(colours.MARKER), haze=0.0)
         if self._top:
@@ -256,7 +256,7 @@ class Renderer:
         self.close()
 
     def _parts(self) -> list[Tubes | Balls]:
-        parts = self._rods, self._sites, self._muscles, self._lines, self._bolus, self._markers, self._top
+        parts = self._rods, self._sites, self._muscles, self._lines, self._ball, self._markers, self._top
         return [part for part in parts if part]
 
     def _write(self, text: str, x: float, y: float, size: float, justified: tuple[str, str]) -> Any:
@@ -272,18 +272,18 @@ class Renderer:
     def _add_plate(self, lattice: Lattice, model: RodModel) -> FloatArray:
         """Add the base that a clamped worm stands on; the points to show of it, shape (n, 3) [m].
 
-        With a bolus it is a ring: whatever comes out of the lattice goes through it, and is shown below it.
+        With a ball it is a ring: whatever comes out of the lattice goes through it, and is shown below it.
         """
         diameter, pyvista = lattice.design.diameter, extra("pyvista")
         radius, depth = PLATE_RADIUS * diameter, PLATE_DEPTH * diameter
         place: dict[str, Any] = {"center": (0.0, 0.0, -0.5 * depth), "direction": (0, 0, 1), "height": depth}
         below = np.empty((0, 3))
-        if model.bolus is None:
+        if model.ball is None:
             plate = pyvista.Cylinder(radius=radius, resolution=128, **place)
         else:
             hole = 0.5 * diameter - lattice.design.structure_radius
             plate = pyvista.CylinderStructured(radius=[hole, radius], theta_resolution=128, z_resolution=2, **place)
-            below = np.array([[0.0, 0.0, -1.25 * model.bolus.radius]])
+            below = np.array([[0.0, 0.0, -1.25 * model.ball.radius]])
         self._plotter.add_mesh(plate, color=colours.PLATE, ambient=0.6, diffuse=0.45, specular=0.0)
         return np.concatenate([np.asarray(plate.points, dtype=np.float64), below])
 
@@ -359,9 +359,9 @@ def render_frame(
     time: float | None = None,
     text: str = "",
     size: tuple[int, int] = (640, 480),
-    bolus: npt.ArrayLike | None = None,
+    ball: npt.ArrayLike | None = None,
     markers: npt.ArrayLike | None = None,
 ) -> RGB:
     """One picture, as Renderer.update makes it, shape (height, width, 3); for many keep a Renderer."""
     with Renderer(lattice, model, size, n_marker=0 if markers is None else np.size(markers) // 3) as renderer:
-        return renderer.update(position, activation, time, text, bolus, markers)
+        return renderer.update(position, activation, time, text, ball, markers)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.body.lattice import build_lattice
-from lattice_gym.checks import FloatArray, IntArray, number, refused
+from lattice_gym.checks import FloatArray, IntArray, invalid_value, number
 from lattice_gym.physics.worm import build_model
 from lattice_gym.recording.files import replacing
 from lattice_gym.recording.trajectory import Trajectory
@@ -45,17 +45,17 @@ def render_video(
     """
     speed = number("speed", speed, 1e-3, 1e3)
     if size[0] % 2 or size[1] % 2:
-        raise refused("size", size, "must be even, as the video's pixels share their colour in blocks of 2 x 2")
+        raise invalid_value("size", size, "must be even, as the video's pixels share their colour in blocks of 2 x 2")
     animated = Path(path).suffix.lower() == ".gif"
     if fps is not None:
         fps = number("fps", fps, 1.0, FASTEST_GIF if animated else 240.0, "pictures/s")
     shown, rate = schedule(trajectory.time, fps, speed, FASTEST_GIF if animated else FASTEST)
     lattice = build_lattice(trajectory.design)
-    model, bolus = build_model(lattice, trajectory.layout, trajectory.world), trajectory.bolus
+    model, ball = build_model(lattice, trajectory.layout, trajectory.world), trajectory.ball
     marked = np.empty((0, 3)) if trajectory.markers is None else trajectory.markers
     view = np.concatenate([trajectory.position.reshape(-1, 3), marked])
-    if model.bolus is not None and bolus is not None:
-        centre, radius = bolus.reshape(-1, 3), model.bolus.radius
+    if model.ball is not None and ball is not None:
+        centre, radius = ball.reshape(-1, 3), model.ball.radius
         view = np.concatenate([view, centre - radius, centre + radius])
     note = "" if speed == 1.0 else f"   [{speed:g} x real time]"
     sink = _gif if animated else _mp4
@@ -73,7 +73,7 @@ def render_video(
                     trajectory.activation[frame],
                     trajectory.time[frame],
                     text,
-                    None if bolus is None else bolus[frame],
+                    None if ball is None else ball[frame],
                     marked,
                 )
                 last = frame

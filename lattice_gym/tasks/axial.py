@@ -8,14 +8,14 @@ from typing import Any, ClassVar
 from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.physics.measures import strain
 from lattice_gym.physics.state import Motion
-from lattice_gym.tasks.base import LONGEST_STRAIN, RewardTerm, Task, check_base
+from lattice_gym.tasks.base import MAX_STRAIN, RewardTerm, Task, check_base
 
 
 class AxialTask(Task):
     """Change the body's length: the reward is the strain times a sign."""
 
     time_limit = 40
-    rewards: ClassVar[Mapping[str, RewardTerm]] = {"strain": RewardTerm(1.0, -LONGEST_STRAIN, LONGEST_STRAIN)}
+    rewards: ClassVar[Mapping[str, RewardTerm]] = {"strain": RewardTerm(1.0, -MAX_STRAIN, MAX_STRAIN)}
     training: ClassVar[Mapping[str, Any]] = {"control": "ring", "gamma": 0.8}
     sign: ClassVar[float]
     """What longer is worth."""

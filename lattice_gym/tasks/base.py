@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout
-from lattice_gym.checks import FloatArray, IntArray, items, names, number, refused, require
+from lattice_gym.checks import FloatArray, IntArray, invalid_value, items, names, number
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.elasticity import MAX_DILATATION
 from lattice_gym.physics.measures import base_frame
@@ -33,22 +33,22 @@ EFFORT, DIVERGENCE = "effort", "divergence"
 """Reward terms of every task, after its own: the price of activation, and that of physics that diverged."""
 EFFORT_WEIGHT = 0.01
 """Price of holding every muscle fully active, per control step: small against what any task pays."""
-LEAST_PENALTY = 1000.0
+MIN_PENALTY = 1000.0
 """What a divergence costs at least."""
-HEAVIEST = 1e6
+MAX_WEIGHT = 1e6
 """Bound of the size of a reward weight."""
-BOUND_SLACK = 1e-9
-"""Share of a bound by which a commanded number may lie beyond it: a bound that is reached by arithmetic is rounded."""
+BOUND_TOLERANCE = 1e-9
+"""Relative tolerance on the bounds of commanded numbers, for bounds that were computed and so rounded."""
 COMMAND_BOUND = 10.0
 """Bound of what a task adds to the observation."""
-Given = Mapping[str, float | Sequence[float]]
+CommandValues = Mapping[str, float | Sequence[float]]
 """Commanded numbers by name, or lists to draw one from."""
-WAY_WEIGHT = 10.0
-"""Reward for a way of one height: a hand-made gait earns ten times what the effort of it costs."""
-LONGEST_STRAIN = MAX_DILATATION + 1.0
-"""No point of a clamped body is further from where it rested, in heights: rods tear sooner, whichever way up."""
+PROGRESS_WEIGHT = 10.0
+"""Reward for progress by one body length: a hand-made gait earns ten times what its effort costs."""
+MAX_STRAIN = MAX_DILATATION + 1.0
+"""Bound of the displacement of any point of a clamped body from rest [body lengths]: rods over-stretch sooner."""
 GOAL_SCALE = 0.2
-"""Goals are given and observed in units of this share of the height: about as far as a top can be brought."""
+"""Unit of goals [body lengths]: about as far as the top can be moved."""
 
 
 class Command(NamedTuple):
@@ -57,19 +57,19 @@ class Command(NamedTuple):
     low: float
     high: float
     """Drawn uniformly from [low, high] where it is not given."""
-    least: float
-    most: float
+    minimum: float
+    maximum: float
     """What may be given lies in [least, most], to rounding."""
     unit: str
-    among: tuple[float, ...] = ()
+    choices: tuple[float, ...] = ()
     """Where there are any, only these may be drawn or given."""
 
     def check(self, name: str, value: object) -> float:
         """Take a number that may be given; anything else is a ValueError of that name."""
-        if self.among and not (isinstance(value, Real) and value in self.among):
-            raise refused(name, value, f"must be {' or '.join(f'{few:g}' for few in self.among)}")
-        slack = BOUND_SLACK
-        least, most = self.least - slack * abs(self.least), self.most + slack * abs(self.most)
+        if self.choices and not (isinstance(value, Real) and value in self.choices):
+            raise invalid_value(name, value, f"must be {' or '.join(f'{few:g}' for few in self.choices)}")
+        tolerance = BOUND_TOLERANCE
+        least, most = self.minimum - tolerance * abs(self.minimum), self.maximum + tolerance * abs(self.maximum)
         return number(name, value, least, most, self.unit)
 
 
@@ -80,13 +80,13 @@ class RewardTerm(NamedTuple):
     low: float = -math.inf
     high: float = math.inf
     """Least and largest value in one control step."""
-    whole: bool = False
+    per_episode: bool = False
     """Whether that is the range of its sum over an episode instead."""
 
     def span(self, steps: int, weight: float) -> float:
         """Largest difference of its weighted sums over any two episodes of at most so many steps."""
         # An episode may end before anything was earned or lost.
-        return (1 if self.whole else steps) * abs(weight) * (max(self.high, 0.0) - min(self.low, 0.0))
+        return (1 if self.per_episode else steps) * abs(weight) * (max(self.high, 0.0) - min(self.low, 0.0))
 
 
 class Task(ABC):
@@ -144,7 +144,7 @@ class Task(ABC):
         self,
         lattice: Lattice,
         control_dt: float,
-        command: Given | None = None,
+        command: CommandValues | None = None,
         model: RodModel | None = None,
         n_worm: int = 1,
         reward_weights: Mapping[str, float] | None = None,
@@ -153,23 +153,23 @@ class Task(ABC):
         self.control_dt = control_dt
         self.n_worm = n_worm
         self._all_rewards = {**self.rewards, EFFORT: RewardTerm(EFFORT_WEIGHT, -1.0, 0.0)}
-        self.weights = self._weighed(reward_weights)
+        self.weights = self._resolve_weights(reward_weights)
         """Weights of the reward terms by name."""
         self._warn_of_ranges()
         if model is not None:
             self.model = model
         self.prepare()
         self.commands = self.command_ranges()
-        self.among = {name: bounds.among for name, bounds in self.commands.items() if bounds.among}
-        self.among |= self._checked("command", command)
+        self.choices = {name: bounds.choices for name, bounds in self.commands.items() if bounds.choices}
+        self.choices |= self._check_numbers("command", command)
         """Numbers that are drawn from a few, or held: those few, by name."""
         self.commanded = {
-            name: np.full(n_worm, self.among[name][0] if name in self.among else 0.5 * (bounds.low + bounds.high))
+            name: np.full(n_worm, self.choices[name][0] if name in self.choices else 0.5 * (bounds.low + bounds.high))
             for name, bounds in self.commands.items()
         }
         """The numbers now commanded, by name, shape (n_worm,) each."""
-        self.memory = {name: np.repeat(value[None], n_worm, axis=0) for name, value in self.blank_memory().items()}
-        """What an episode is remembered by, by name, a row a worm."""
+        self.memory = {name: np.repeat(value[None], n_worm, axis=0) for name, value in self.initial_memory().items()}
+        """What a task keeps within an episode, by name, a row a worm."""
 
     @classmethod
     def world(cls, lattice: Lattice) -> World:
@@ -195,23 +195,23 @@ class Task(ABC):
     def penalty(self) -> float:
         """What a divergence costs: more than lies between the best and the worst sound episode within `time_limit`.
 
-        At least LEAST_PENALTY, and else the sum over all terms of how far their weighted sums over an episode can be
+        At least MIN_PENALTY, and else the sum over all terms of how far their weighted sums over an episode can be
         apart, by the ranges in `rewards`.
         """
         terms = self._all_rewards.items()
         spans = [term.span(self.time_limit, self.weights[name]) for name, term in terms]
-        return max(LEAST_PENALTY, math.fsum(span for span in spans if math.isfinite(span)))
+        return max(MIN_PENALTY, math.fsum(span for span in spans if math.isfinite(span)))
 
     def check(self, options: Mapping[str, object] | None) -> None:
         """Raise the ValueError of `begin` for options that it would refuse."""
-        self._checked("options", options)
+        self._check_numbers("options", options)
 
     def begin(self, rng: np.random.Generator, options: Mapping[str, object] | None, worm: int = 0) -> None:
         """Start an episode of a worm: draw its command, with what constructor or options give (the latter win)."""
-        command = self._drawn(rng, options)
+        command = self._draw(rng, options)
         for name, drawn in command.items():
             self.commanded[name][worm] = drawn
-        for name, value in self.blank_memory().items():
+        for name, value in self.initial_memory().items():
             self.memory[name][worm] = value
 
     @property
@@ -276,7 +276,7 @@ class Task(ABC):
         """
         return dict(outcome)
 
-    def over(self, motion: Motion) -> npt.NDArray[np.bool_]:
+    def terminated(self, motion: Motion) -> npt.NDArray[np.bool_]:
         """Tell for each worm of a motion whether nothing more can come of its episode, shape (n,)."""
         return np.zeros(len(motion.position), dtype=np.bool_)
 
@@ -297,16 +297,16 @@ class Task(ABC):
         """Places that are asked of a worm [m], to mark in pictures, shape (n_marker, 3); none in most tasks."""
         return np.empty((0, 3))
 
-    def blank_memory(self) -> dict[str, FloatArray]:
+    def initial_memory(self) -> dict[str, FloatArray]:
         """Memory of one worm at the start of its episode, by name; see `memory`."""
         return {}
 
-    def remembered(self, worms: IntArray) -> dict[str, FloatArray]:
+    def copy_memory(self, worms: IntArray) -> dict[str, FloatArray]:
         """Copy of the memory of some worms."""
         return {name: values[worms] for name, values in self.memory.items()}
 
-    def remind(self, worms: IntArray, memory: Mapping[str, FloatArray]) -> None:
-        """Put back what `remembered` gave, as if the step since had not been."""
+    def restore_memory(self, worms: IntArray, memory: Mapping[str, FloatArray]) -> None:
+        """Restore memory from `copy_memory`, which undoes the step since."""
         for name, values in memory.items():
             self.memory[name][worms] = values
 
@@ -325,7 +325,7 @@ class Task(ABC):
         Each is drawn from those under its name, or from between the two ends of its range.
         """
 
-    def _weighed(self, given: object) -> dict[str, float]:
+    def _resolve_weights(self, given: object) -> dict[str, float]:
         """Weight of every reward term, the effort's last."""
         if taken := sorted({EFFORT, DIVERGENCE} & set(self.rewards)):
             raise ValueError(f"{type(self).__name__}.rewards: {taken[0]} is a term of every task, and not its own")
@@ -333,7 +333,7 @@ class Task(ABC):
         if given is None:
             return weights
         for name, value in names("reward_weights", given, weights, "numbers").items():
-            weights[name] = number(f"reward_weights[{name!r}]", value, -HEAVIEST, HEAVIEST)
+            weights[name] = number(f"reward_weights[{name!r}]", value, -MAX_WEIGHT, MAX_WEIGHT)
         return weights
 
     def _warn_of_ranges(self) -> None:
@@ -348,16 +348,16 @@ class Task(ABC):
                     stacklevel=3,
                 )
 
-    def _drawn(self, rng: np.random.Generator, options: Mapping[str, object] | None) -> dict[str, float]:
-        among = self.among | self._checked("options", options)
+    def _draw(self, rng: np.random.Generator, options: Mapping[str, object] | None) -> dict[str, float]:
+        choices = self.choices | self._check_numbers("options", options)
         drawn = {}
         for name, bounds in self.commands.items():
             # Drawn whether used or not, so that fixing one number leaves the others as they were.
-            share, few = float(rng.random()), among.get(name)
+            share, few = float(rng.random()), choices.get(name)
             drawn[name] = few[int(share * len(few))] if few else bounds.low + share * (bounds.high - bounds.low)
         return drawn
 
-    def _checked(self, argument: str, values: Mapping[str, object] | None) -> dict[str, tuple[float, ...]]:
+    def _check_numbers(self, argument: str, values: Mapping[str, object] | None) -> dict[str, tuple[float, ...]]:
         """Numbers to draw from by name; a number alone is held."""
         checked: dict[str, tuple[float, ...]] = {}
         given = {} if values is None else names(argument, values, self.commands, "numbers, or lists of them")
@@ -365,9 +365,10 @@ class Task(ABC):
             label, bounds = f"{argument}[{name!r}]", self.commands[name]
             several = isinstance(value, list | tuple)
             checked[name] = items(label, value, bounds.check) if several else (bounds.check(label, value),)
-            require(len(checked[name]) > 0, f"{label}: needs at least one number to draw from")
+            if not checked[name]:
+                raise invalid_value(label, value, "must hold at least one number to draw from")
         drawn = {name: (bounds.low, bounds.high) for name, bounds in self.commands.items()}
-        self.check_command(argument, drawn | self.among | checked)
+        self.check_command(argument, drawn | self.choices | checked)
         return checked
 
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import TURN, FloatArray, IntArray, number
+from lattice_gym.checks import TAU, FloatArray, IntArray, number
 from lattice_gym.physics.measures import azimuth_of, bend_vector, top_sites
 from lattice_gym.physics.state import Motion
 from lattice_gym.tasks.base import Command, RewardTerm, Task, check_base
-from lattice_gym.tasks.gait import MOST, Gait, hold, longitudinal, muscle_middles, needed
+from lattice_gym.tasks.gait import MAX_NUMBER, Gait, constant_gait, longitudinal, muscle_middles, required_commands
 
-LEAST_LEAN = 0.05
+MIN_LEAN = 0.05
 """A worm that is bent by less leans no way [deg]."""
 
 
@@ -64,20 +64,20 @@ class Bending(Task):
         bend = float(np.degrees(outcome["bend_angle"]))
         turn = float(np.degrees(outcome["bend_direction"] - command["azimuth"]))
         off = abs((turn + 180.0) % 360.0 - 180.0)
-        return {"bend_deg": bend} | ({"off_azimuth_deg": off} if bend >= LEAST_LEAN else {})
+        return {"bend_deg": bend} | ({"off_azimuth_deg": off} if bend >= MIN_LEAN else {})
 
     def describe(self, outcome: Mapping[str, float], worm: int) -> str:
         """Bend angle, its direction and the one asked for, in degrees."""
-        asked = self.commanded["azimuth"][worm] % TURN
+        asked = self.commanded["azimuth"][worm] % TAU
         angle, towards, asked = np.degrees([outcome["bend_angle"], outcome["bend_direction"], asked])
         # What leans by less than is printed leans no way.
-        way = f"towards {_whole(towards)} deg " if angle >= LEAST_LEAN else ""
+        way = f"towards {_whole(towards)} deg " if angle >= MIN_LEAN else ""
         return f"bend {angle:.1f} deg {way}(asked: {_whole(asked)} deg)"
 
     @classmethod
     def gait(cls, lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
         """Vertical muscles towards the commanded azimuth, ring muscles away from it."""
-        return bending_gait(lattice, layout, **needed(cls.name, command, "azimuth"))
+        return bending_gait(lattice, layout, **required_commands(cls.name, command, "azimuth"))
 
     def _towards(self) -> FloatArray:
         azimuth = self.commanded["azimuth"]
@@ -85,7 +85,7 @@ class Bending(Task):
 
     def command_ranges(self) -> dict[str, Command]:
         """Azimuth to lean towards."""
-        return {"azimuth": Command(0.0, TURN, -TURN, TURN, "rad")}
+        return {"azimuth": Command(0.0, TAU, -TAU, TAU, "rad")}
 
 
 def bending_gait(lattice: Lattice, layout: MuscleLayout, azimuth: float, sharpness: float = 2.0) -> Gait:
@@ -93,8 +93,8 @@ def bending_gait(lattice: Lattice, layout: MuscleLayout, azimuth: float, sharpne
 
     Activation follows the cosine of the angle from the azimuth (rings: from its opposite) times the sharpness, up to 1.
     """
-    azimuth = number("azimuth", azimuth, -MOST, MOST, "rad")
-    sharpness = number("sharpness", sharpness, 0.0, MOST, "1")
+    azimuth = number("azimuth", azimuth, -MAX_NUMBER, MAX_NUMBER, "rad")
+    sharpness = number("sharpness", sharpness, 0.0, MAX_NUMBER, "1")
     middle = muscle_middles(lattice, layout)
     facing = np.cos(np.arctan2(middle[:, 1], middle[:, 0]) - azimuth)
-    return hold(sharpness * np.where(longitudinal(lattice, layout), facing, -facing))
+    return constant_gait(sharpness * np.where(longitudinal(lattice, layout), facing, -facing))

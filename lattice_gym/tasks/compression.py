@@ -10,7 +10,7 @@ import numpy as np
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
 from lattice_gym.tasks.axial import AxialTask
-from lattice_gym.tasks.gait import Gait, hold, longitudinal
+from lattice_gym.tasks.gait import Gait, constant_gait, longitudinal
 
 
 @final
@@ -24,4 +24,4 @@ class Compression(AxialTask):
     @classmethod
     def gait(cls, lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
         """Every vertical muscle fully active."""
-        return hold(np.where(longitudinal(lattice, layout), 1.0, 0.0))
+        return constant_gait(np.where(longitudinal(lattice, layout), 1.0, 0.0))

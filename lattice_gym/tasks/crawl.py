@@ -9,17 +9,17 @@ import numpy as np
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import TURN, FloatArray, IntArray, number, refused
+from lattice_gym.checks import TAU, FloatArray, IntArray, invalid_value, number
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.measures import mass_centre, muscle_lengths
 from lattice_gym.physics.state import Motion
 from lattice_gym.physics.world import World
-from lattice_gym.tasks.base import COMMAND_BOUND, WAY_WEIGHT, Command, RewardTerm, Task, quotient
-from lattice_gym.tasks.gait import LEAST, MOST, Gait, longitudinal, muscle_middles, needed
+from lattice_gym.tasks.base import COMMAND_BOUND, PROGRESS_WEIGHT, Command, RewardTerm, Task, quotient
+from lattice_gym.tasks.gait import MAX_NUMBER, MIN_NUMBER, Gait, longitudinal, muscle_middles, required_commands
 
 CRAWL_FREQUENCY, CRAWL_WAVELENGTH = 1.0, 1.0
-"""Of the crawling wave [Hz], [heights]: the best of wavelengths from 0.6 to 2; at 2 Hz it is a quarter faster."""
+"""Of the crawling wave [Hz], [body lengths]: the best of wavelengths from 0.6 to 2; at 2 Hz it is a quarter faster."""
 
 
 @final
@@ -34,8 +34,8 @@ class Crawl(Task):
     name = "crawl"
     layout = "all"
     time_limit = 200
-    # Nothing crawls two heights a second, twenty times as fast as the gait at 3 Hz.
-    rewards: ClassVar[Mapping[str, RewardTerm]] = {"progress": RewardTerm(WAY_WEIGHT, -0.1, 0.1)}
+    # Nothing crawls two body lengths a second, twenty times as fast as the gait at 3 Hz.
+    rewards: ClassVar[Mapping[str, RewardTerm]] = {"progress": RewardTerm(PROGRESS_WEIGHT, -0.1, 0.1)}
     # Strokes last longer than the five steps that a discount of 0.8 looks ahead.
     training: ClassVar[Mapping[str, Any]] = {"control": "ring", "gamma": 0.95}
     bounds = (1.0, COMMAND_BOUND)
@@ -43,8 +43,8 @@ class Crawl(Task):
     settles = True
     travels = True
 
-    LEAST_WAY: ClassVar[float] = 0.01
-    """Way [heights] below which no course and no cost of transport is given."""
+    MIN_DISTANCE: ClassVar[float] = 0.01
+    """Way [body lengths] below which no course and no cost of transport is given."""
 
     @classmethod
     def world(cls, lattice: Lattice) -> World:
@@ -69,7 +69,7 @@ class Crawl(Task):
         if not np.allclose(np.diff(body[:, 0]), np.diff(self.lattice.position[0, :, 2])):
             raise ValueError("world.lying = False: a worm that crawls must lie")
 
-    def blank_memory(self) -> dict[str, FloatArray]:
+    def initial_memory(self) -> dict[str, FloatArray]:
         """Where it started, what its muscles have done, and when that was."""
         length = muscle_lengths(self.model, self.rest.position)
         start = mass_centre(self.model, self.rest.position)
@@ -78,12 +78,12 @@ class Crawl(Task):
         return moved | {"work": nothing, "time": nothing}
 
     def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
-        """Commanded direction along x, and how far the body is off course, to +y, in heights."""
-        aside = self._way(motion, self.memory["start"])[:, 1]
+        """Commanded direction along x, and how far the body is off course, to +y, in body lengths."""
+        aside = self._displacement(motion, self.memory["start"])[:, 1]
         return np.array([self.commanded["direction"], np.minimum(np.maximum(aside, -COMMAND_BOUND), COMMAND_BOUND)]).T
 
     def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
-        """Way along the commanded direction in this step [heights]."""
+        """Way along the commanded direction in this step [body lengths]."""
         centre, length = mass_centre(self.model, motion.position), muscle_lengths(self.model, motion.position)
         before, design = self.memory, self.lattice.design
         way = (centre - before["centre"])[:, 0] * self.commanded["direction"] / design.height
@@ -97,20 +97,20 @@ class Crawl(Task):
     def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Speed along the command [body lengths a minute], drift off it [rad] and cost of transport, see env.py."""
         start, time, work = (self.memory[name][worms] for name in ("start", "time", "work"))
-        way = self._way(motion, start)
+        way = self._displacement(motion, start)
         along = way[:, 0] * self.commanded["direction"][worms]
-        moved = np.hypot(way[:, 0], way[:, 1]) >= self.LEAST_WAY
+        moved = np.hypot(way[:, 0], way[:, 1]) >= self.MIN_DISTANCE
         gravity = 0.0 if self.model.gravity is None else float(np.linalg.norm(self.model.gravity))
         haul = float(self.model.node_mass.sum()) * gravity * along * self.lattice.design.height
         return {
             "speed": quotient(60.0 * along, time, time > 0.0),
             "drift": np.where(moved, np.arctan2(np.abs(way[:, 1]), along), 0.0),
-            "cost_of_transport": quotient(work, haul, (along >= self.LEAST_WAY) & (haul > 0.0)),
+            "cost_of_transport": quotient(work, haul, (along >= self.MIN_DISTANCE) & (haul > 0.0)),
         }
 
     @classmethod
     def errors(cls, outcome: Mapping[str, float], command: Mapping[str, float]) -> dict[str, float]:
-        """Speed [body heights a minute], drift [deg], and cost of transport where it went along the command at all."""
+        """Speed [body lengths a minute], drift [deg], and cost of transport where it went along the command at all."""
         cost = {name: value for name, value in outcome.items() if name == "cost_of_transport" and value > 0.0}
         return {"speed": outcome["speed"], "drift_deg": float(np.degrees(outcome["drift"]))} | cost
 
@@ -124,10 +124,10 @@ class Crawl(Task):
     @classmethod
     def gait(cls, lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
         """Peristaltic wave that runs against the commanded direction."""
-        return crawling_gait(lattice, layout, **needed(cls.name, command, "direction"))
+        return crawling_gait(lattice, layout, **required_commands(cls.name, command, "direction"))
 
-    def _way(self, motion: Motion, start: FloatArray) -> FloatArray:
-        """Way of the centre of mass along x and y since the start [heights], shape (n, 2)."""
+    def _displacement(self, motion: Motion, start: FloatArray) -> FloatArray:
+        """Way of the centre of mass along x and y since the start [body lengths], shape (n, 2)."""
         way: FloatArray = (mass_centre(self.model, motion.position) - start)[:, :2] / self.lattice.design.height
         return way
 
@@ -150,17 +150,17 @@ def crawling_gait(
     earthworm. The direction is +1 towards the top end, -1 towards the base; the frequency in Hz, the wavelength in
     heights.
     """
-    direction = number("direction", direction, -MOST, MOST, "1")
-    frequency = number("frequency", frequency, LEAST, MOST, "Hz")
-    wavelength = number("wavelength", wavelength, LEAST, MOST, "heights")
-    ring_share = number("ring_share", ring_share, 0.0, MOST, "1")
+    direction = number("direction", direction, -MAX_NUMBER, MAX_NUMBER, "1")
+    frequency = number("frequency", frequency, MIN_NUMBER, MAX_NUMBER, "Hz")
+    wavelength = number("wavelength", wavelength, MIN_NUMBER, MAX_NUMBER, "body lengths")
+    ring_share = number("ring_share", ring_share, 0.0, MAX_NUMBER, "1")
     if direction == 0.0:
-        raise refused("direction", direction, "must not be 0")
+        raise invalid_value("direction", direction, "must not be 0")
     along, height = longitudinal(lattice, layout), muscle_middles(lattice, layout)[:, 2]
     drive = 0.5 * np.where(along, 1.0, ring_share)
     return Gait(
         offset=drive,
         swing=np.where(along, drive, -drive),
-        phase=TURN * height / (wavelength * lattice.design.height),
+        phase=TAU * height / (wavelength * lattice.design.height),
         frequency=-float(np.sign(direction)) * frequency,
     )

@@ -14,11 +14,22 @@ import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import REQUIRED, TURN, FloatArray, IntArray, Parameters, array, checked, number, real, refused
+from lattice_gym.checks import (
+    REQUIRED,
+    TAU,
+    FloatArray,
+    IntArray,
+    Parameters,
+    array,
+    checked,
+    invalid_value,
+    number,
+    real,
+)
 
 LEAD = 0.07
-"""How far a wave runs ahead of what it follows [s]: a command is held for a control step, and muscles lag behind it."""
-LEAST, MOST = 1e-9, 1e9
+"""Lead of a gait over the commanded wave [s]: commands are constant within a control step, and muscles lag behind."""
+MIN_NUMBER, MAX_NUMBER = 1e-9, 1e9
 """Sizes that the numbers of a gait lie between, wide enough for any body in SI units; some may also be 0."""
 
 
@@ -35,19 +46,19 @@ class Gait(Parameters):
     """Amplitude of each muscle's command, shape (n_muscle,)."""
     phase: FloatArray = checked(REQUIRED, array, shape=("n_muscle",), unit="rad")
     """Lag of each muscle [rad], shape (n_muscle,)."""
-    frequency: float = real(0.0, -MOST, MOST, "Hz")
+    frequency: float = real(0.0, -MAX_NUMBER, MAX_NUMBER, "Hz")
     """Cycles a second [Hz]; negative runs the wave backwards."""
-    lead: float = real(LEAD, -MOST, MOST, "s")
+    lead: float = real(LEAD, -MAX_NUMBER, MAX_NUMBER, "s")
     """Time by which the commands run ahead [s]."""
 
     def __call__(self, time: float) -> FloatArray:
         """Commands at a time [s], shape (n_muscle,), in [0, 1]."""
-        angle = TURN * self.frequency * (number("time", time, -MOST, MOST, "s") + self.lead)
+        angle = TAU * self.frequency * (number("time", time, -MAX_NUMBER, MAX_NUMBER, "s") + self.lead)
         command: FloatArray = np.clip(self.offset + self.swing * np.cos(angle - self.phase), 0.0, 1.0)
         return command
 
 
-def grouped(command: FloatArray, groups: IntArray) -> FloatArray:
+def group_means(command: FloatArray, groups: IntArray) -> FloatArray:
     """Turn commands of muscles into the action of an environment that drives groups: their means, shape (n_group,).
 
     `command` and `groups` have shape (n_muscle,), the latter as in `env.unwrapped.groups`.
@@ -58,7 +69,7 @@ def grouped(command: FloatArray, groups: IntArray) -> FloatArray:
     return mean
 
 
-def hold(offset: FloatArray) -> Gait:
+def constant_gait(offset: FloatArray) -> Gait:
     """Gait that holds every muscle, shape (n_muscle,), clipped to [0, 1]."""
     return Gait(offset=offset, swing=np.zeros_like(offset), phase=np.zeros_like(offset))
 
@@ -82,10 +93,10 @@ def longitudinal(lattice: Lattice, layout: MuscleLayout) -> npt.NDArray[np.bool_
     return np.asarray(np.abs(along[:, 2]) > np.hypot(along[:, 0], along[:, 1]))
 
 
-def needed(task: str, command: Mapping[str, float], *names: str) -> dict[str, float]:
+def required_commands(task: str, command: Mapping[str, float], *names: str) -> dict[str, float]:
     """Return those commanded numbers that a gait needs; a ValueError names what is missing."""
     if not isinstance(command, Mapping):
-        raise refused("command", command, "must be a mapping of names to numbers")
+        raise invalid_value("command", command, "must be a mapping of names to numbers")
     missing = [name for name in names if name not in command]
     if missing:
         raise ValueError(f"command: {task} needs {', '.join(names)}; missing {', '.join(missing)}")

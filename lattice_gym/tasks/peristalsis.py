@@ -10,16 +10,16 @@ import numpy as np
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import TURN, FloatArray, IntArray, number, refused
+from lattice_gym.checks import TAU, FloatArray, IntArray, invalid_value, number
 from lattice_gym.physics.measures import ring_radii, travelling_wave
 from lattice_gym.physics.state import Motion
-from lattice_gym.tasks.base import BOUND_SLACK, COMMAND_BOUND, Command, RewardTerm, Task
-from lattice_gym.tasks.gait import LEAD, LEAST, MOST, Gait, longitudinal, muscle_middles, needed
+from lattice_gym.tasks.base import BOUND_TOLERANCE, COMMAND_BOUND, Command, RewardTerm, Task
+from lattice_gym.tasks.gait import LEAD, MAX_NUMBER, MIN_NUMBER, Gait, longitudinal, muscle_middles, required_commands
 
 RING_SHARE = 0.7
-"""Drive of ring muscles over that of vertical ones: held back this much, a wave leaves the mean radius where it was."""
+"""Drive of ring muscles over that of vertical ones, with which a wave does not change the mean radius."""
 TOP_SHARE = 0.5
-"""Further share for the rings of the top level: nothing holds it from above, so less gives the same amplitude."""
+"""Further factor for the rings of the top level: nothing above resists them, so less drive gives the same amplitude."""
 FULL_DRIVE_AMPLITUDE = 0.06
 """Amplitude of the ring radii over the rest radius that the wave reaches at full drive in the default design."""
 WAYS = {1: "up", -1: "down"}
@@ -52,12 +52,12 @@ class Peristalsis(Task):
 
     RECORDED_PERIODS: ClassVar[int] = 2
     """Periods of the commanded wave over which the outcome is measured."""
-    LEAST_STEPS: ClassVar[int] = 4
+    MIN_STEPS: ClassVar[int] = 4
     """Fewest control steps in a period of the commanded wave."""
-    LEAST_LEVELS: ClassVar[int] = 3
+    MIN_LEVELS: ClassVar[int] = 3
     """Fewest levels that can carry a wave."""
-    SLOWEST: ClassVar[float] = 0.1
-    """Slowest wave [body heights a second]."""
+    MIN_SPEED: ClassVar[float] = 0.1
+    """Slowest wave [body lengths a second]."""
     TYPICAL_AMPLITUDE: ClassVar[float] = 0.055
     """Scale of the observed amplitude."""
 
@@ -65,9 +65,9 @@ class Peristalsis(Task):
         """Refuse a body with too few levels for a wave, and measure its rings."""
         lattice = self.lattice
         first = 1 if lattice.design.base == "clamped" else 0
-        if lattice.n_level - first < self.LEAST_LEVELS:
+        if lattice.n_level - first < self.MIN_LEVELS:
             raise ValueError(
-                f"design: peristalsis needs at least {self.LEAST_LEVELS} levels of sites that can move, got "
+                f"design: peristalsis needs at least {self.MIN_LEVELS} levels of sites that can move, got "
                 f"{max(lattice.n_level - first, 0)}"
             )
         self.height = lattice.level_height[first:]
@@ -87,7 +87,7 @@ class Peristalsis(Task):
             room = np.zeros((self.n_worm, window - record.shape[1], len(self.height)))
             self.memory["record"] = np.concatenate([record, room], axis=1)
 
-    def blank_memory(self) -> dict[str, FloatArray]:
+    def initial_memory(self) -> dict[str, FloatArray]:
         """Count of steps, and the latest deviations of the ring radii."""
         return {"steps": np.zeros(()), "record": np.zeros((1, len(self.height)))}
 
@@ -100,11 +100,11 @@ class Peristalsis(Task):
 
     def target(self, time: FloatArray) -> FloatArray:
         """Deviation asked of every level that can move, over the rest radius, shape (n_worm, n_level - first)."""
-        angle = self._phase(time)[:, None] - TURN * self.height / self.commanded["wavelength"][:, None]
+        angle = self._phase(time)[:, None] - TAU * self.height / self.commanded["wavelength"][:, None]
         wave: FloatArray = self.commanded["amplitude"][:, None] * np.cos(angle)
         return wave
 
-    def recorded(self, worm: int = 0) -> FloatArray:
+    def record(self, worm: int = 0) -> FloatArray:
         """Deviations of a worm over the last two commanded periods, or as far back as it goes, shape (n, n_level)."""
         steps, window = int(self.memory["steps"][worm]), int(self._window[worm])
         rows = np.arange(max(steps - window, 0), steps) % window
@@ -131,8 +131,8 @@ class Peristalsis(Task):
         """
         found = np.zeros((len(worms), 4))
         for row, worm in zip(found, worms.tolist(), strict=True):
-            if self._whole_record(worm):
-                wave = travelling_wave(1.0 + self.recorded(worm), self.control_dt, self.height)
+            if self._record_is_full(worm):
+                wave = travelling_wave(1.0 + self.record(worm), self.control_dt, self.height)
                 row[:] = *wave, wave.amplitude
         return dict(zip(("wave_index", "wave_direction", "wave_speed", "wave_amplitude"), found.T, strict=True))
 
@@ -151,7 +151,7 @@ class Peristalsis(Task):
 
     def describe(self, outcome: Mapping[str, float], worm: int) -> str:
         """Index, way, speed and amplitude beside those asked for; empty until two commanded periods have passed."""
-        if not self._whole_record(worm):
+        if not self._record_is_full(worm):
             return ""
         index, direction, speed, amplitude = outcome.values()
         command = self.command_of(worm)
@@ -164,15 +164,15 @@ class Peristalsis(Task):
     def gait(cls, lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
         """Wave of rings and vertical muscles in antiphase, a lead ahead of the commanded one."""
         return peristalsis_gait(
-            lattice, layout, **needed(cls.name, command, "speed", "wavelength", "amplitude", "phase")
+            lattice, layout, **required_commands(cls.name, command, "speed", "wavelength", "amplitude", "phase")
         )
 
-    def _whole_record(self, worm: int) -> bool:
+    def _record_is_full(self, worm: int) -> bool:
         """Whether two commanded periods have passed."""
         return bool(self.memory["steps"][worm] >= self._window[worm])
 
     def _phase(self, time: FloatArray) -> FloatArray:
-        rate = TURN * self.commanded["speed"] / self.commanded["wavelength"]
+        rate = TAU * self.commanded["speed"] / self.commanded["wavelength"]
         phase: FloatArray = rate * time + self.commanded["phase"]
         return phase
 
@@ -183,14 +183,14 @@ class Peristalsis(Task):
 
     def _check_wave(self, argument: str, speed: float, wavelength: float) -> None:
         """Refuse a wave that stands, or that is too fast to be sampled by control steps."""
-        slowest, shortest = self.SLOWEST * self.lattice.design.height, self.LEAST_STEPS * self.control_dt
-        if abs(speed) < slowest * (1.0 - BOUND_SLACK):
+        slowest, shortest = self.MIN_SPEED * self.lattice.design.height, self.MIN_STEPS * self.control_dt
+        if abs(speed) < slowest * (1.0 - BOUND_TOLERANCE):
             raise ValueError(f"{argument}['speed'] = {speed:g}: at least {slowest:g} [m/s], up or down")
         period = wavelength / abs(speed)
-        if period < shortest * (1.0 - BOUND_SLACK):
+        if period < shortest * (1.0 - BOUND_TOLERANCE):
             raise ValueError(
                 f"{argument}: a wave of speed {abs(speed):g} m/s and wavelength {wavelength:g} m has a period of "
-                f"{period:g} s; it must last {self.LEAST_STEPS} control steps, {shortest:g} s (control_dt = "
+                f"{period:g} s; it must last {self.MIN_STEPS} control steps, {shortest:g} s (control_dt = "
                 f"{self.control_dt:g} s)"
             )
 
@@ -204,7 +204,7 @@ class Peristalsis(Task):
             "speed": Command(0.8 * height, 1.2 * height, -10.0 * height, 10.0 * height, "m/s"),
             "wavelength": Command(low, max(1.2 * height, low), shortest, 10.0 * height, "m"),
             "amplitude": Command(0.04, 0.07, 0.001, 0.5, "share of the rest radius"),
-            "phase": Command(0.0, TURN, -TURN, TURN, "rad"),
+            "phase": Command(0.0, TAU, -TAU, TAU, "rad"),
         }
 
 
@@ -238,14 +238,14 @@ def peristalsis_gait(
         Time by which commands run ahead of the wave [s].
 
     """
-    speed = number("speed", speed, -MOST, MOST, "m/s")
-    wavelength = number("wavelength", wavelength, LEAST, MOST, "m")
-    amplitude = number("amplitude", amplitude, LEAST, MOST, "1")
-    phase = number("phase", phase, -MOST, MOST, "rad")
-    ring_share = number("ring_share", ring_share, 0.0, MOST, "1")
-    top_share = number("top_share", top_share, 0.0, MOST, "1")
+    speed = number("speed", speed, -MAX_NUMBER, MAX_NUMBER, "m/s")
+    wavelength = number("wavelength", wavelength, MIN_NUMBER, MAX_NUMBER, "m")
+    amplitude = number("amplitude", amplitude, MIN_NUMBER, MAX_NUMBER, "1")
+    phase = number("phase", phase, -MAX_NUMBER, MAX_NUMBER, "rad")
+    ring_share = number("ring_share", ring_share, 0.0, MAX_NUMBER, "1")
+    top_share = number("top_share", top_share, 0.0, MAX_NUMBER, "1")
     if speed == 0.0:
-        raise refused("speed", speed, "must not be 0, a wave that stands")
+        raise invalid_value("speed", speed, "must not be 0, a wave that stands")
     along, height = longitudinal(lattice, layout), muscle_middles(lattice, layout)[:, 2]
     at_top = ~along & (height > lattice.design.height * (1.0 - 1e-9))
     share = np.where(along, 1.0, ring_share) * np.where(at_top, top_share, 1.0)
@@ -253,7 +253,7 @@ def peristalsis_gait(
     return Gait(
         offset=drive,
         swing=np.where(along, drive, -drive),
-        phase=TURN * height / wavelength - phase,
+        phase=TAU * height / wavelength - phase,
         frequency=speed / wavelength,
         lead=lead,
     )

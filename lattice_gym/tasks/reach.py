@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import TURN, FloatArray, IntArray, number
+from lattice_gym.checks import TAU, FloatArray, IntArray, number
 from lattice_gym.physics.measures import base_frame, top_centre
 from lattice_gym.physics.state import Motion
-from lattice_gym.tasks.base import COMMAND_BOUND, GOAL_SCALE, LONGEST_STRAIN, Command, Given, GoalTask, RewardTerm
-from lattice_gym.tasks.gait import MOST, Gait, hold, longitudinal, muscle_middles, needed
+from lattice_gym.tasks.base import COMMAND_BOUND, GOAL_SCALE, MAX_STRAIN, Command, CommandValues, GoalTask, RewardTerm
+from lattice_gym.tasks.gait import MAX_NUMBER, Gait, constant_gait, longitudinal, muscle_middles, required_commands
 
 REACH_SHARPNESS = (3.8, 44.0)
 REACH_LENGTHENING = (6.7, 5.5)
@@ -22,7 +22,7 @@ REACH_LENGTHENING = (6.7, 5.5)
 
 
 def _goal_distance(achieved: npt.NDArray[np.float32], desired: npt.NDArray[np.float32]) -> FloatArray:
-    """Distances between goals of shape (n, 3), in heights."""
+    """Distances between goals of shape (n, 3), in body lengths."""
     apart: FloatArray = GOAL_SCALE * np.linalg.norm(desired.astype(np.float64) - achieved, axis=-1)
     return apart
 
@@ -31,28 +31,29 @@ def _goal_distance(achieved: npt.NDArray[np.float32], desired: npt.NDArray[np.fl
 class Reach(GoalTask):
     """Bring the centre of the top ring to a target: the reward is how much nearer it is than it was at rest.
 
-    A goal is a displacement of that centre from rest, along the axes of the base at rest, in units of GOAL_SCALE
-    heights. A target lies at `radius` from the axis, towards `azimuth`, and `rise` above the top at rest.
+    A goal is a displacement of that centre from rest, along the axes of the base at rest, in units of GOAL_SCALE body
+    lengths. A target lies at `radius` from the axis, towards `azimuth`, and `rise` above the top at rest.
 
-    Targets are drawn from what the default design reaches: held for 3 s, with verticals at clip(s cos + max(-b, 0)) and
-    rings at clip(-s cos + max(b, 0)), cos that of the angle from the target's azimuth, s from 0 to 3, b from -1 to 1,
-    the centre comes to within 0.02 heights of every target with a radius from 0.05 to 0.2 and a rise from -0.08 to 0.
-    It gets no further out than 0.24 heights; at a radius of 0.2 the rise spans -0.09 to 0.01, on the axis -0.16 to
-    0.11. The 100 mm of Schaffer et al. (arXiv 2408.16069), one height here, are far out of reach.
+    Targets are drawn from what the default design can do under constant commands, after 3 s: verticals at
+    clip(s cos + max(-b, 0)) and rings at clip(-s cos + max(b, 0)), with the cosine of the angle from the target's
+    azimuth, s from 0 to 3 and b from -1 to 1. So the centre comes to within 0.02 body lengths of every target with a
+    radius from 0.05 to 0.2 and a rise from -0.08 to 0. Its largest radius is 0.24 body lengths; at a radius of 0.2 the
+    rise spans -0.09 to 0.01, on the axis -0.16 to 0.11. The 100 mm of Schaffer et al. (arXiv 2408.16069), one body
+    length here, are far beyond that.
     """
 
     name = "reach"
     layout = "all"
     time_limit = 60
-    # A target lies within 3 heights of where the top rests.
-    rewards: ClassVar[Mapping[str, RewardTerm]] = {"approach": RewardTerm(1.0, -LONGEST_STRAIN - 3.0, 3.0)}
+    # A target lies within 3 body lengths of where the top rests.
+    rewards: ClassVar[Mapping[str, RewardTerm]] = {"approach": RewardTerm(1.0, -MAX_STRAIN - 3.0, 3.0)}
     training: ClassVar[Mapping[str, Any]] = {"control": "column", "gamma": 0.8}
     goal_term = "approach"
     n_goal = 3
     bounds = (COMMAND_BOUND,) * n_goal
 
     REACHED: ClassVar[float] = 0.03
-    """Distance within which a target counts as reached [heights]."""
+    """Distance within which a target counts as reached [body lengths]."""
 
     def prepare(self) -> None:
         """Measure where the top rests."""
@@ -60,19 +61,19 @@ class Reach(GoalTask):
         self.origin = top_centre(self.lattice, rest)
         self.axes = base_frame(self.lattice, rest)
 
-    def blank_memory(self) -> dict[str, FloatArray]:
+    def initial_memory(self) -> dict[str, FloatArray]:
         """When the target was first reached [s]; 0: not yet."""
         return {"reach_time": np.zeros(())}
 
     def achieved(self, motion: Motion) -> npt.NDArray[np.float32]:
-        """Displacement of the top's centre over GOAL_SCALE heights, shape (n, 3)."""
+        """Displacement of the top's centre over GOAL_SCALE body lengths, shape (n, 3)."""
         moved = top_centre(self.lattice, motion.position) - self.origin
         unit = GOAL_SCALE * self.lattice.design.height
         along = np.sum(self.axes * moved[:, None, :], axis=-1)
         return np.asarray(np.clip(along / unit, -COMMAND_BOUND, COMMAND_BOUND), dtype=np.float32)
 
     def desired(self) -> npt.NDArray[np.float32]:
-        """Displacement that is asked for over GOAL_SCALE heights, shape (n_worm, 3)."""
+        """Displacement that is asked for over GOAL_SCALE body lengths, shape (n_worm, 3)."""
         azimuth, radius, rise = (self.commanded[name] for name in ("azimuth", "radius", "rise"))
         target = np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), rise]).T
         return np.ascontiguousarray(target / GOAL_SCALE, dtype=np.float32)
@@ -83,18 +84,18 @@ class Reach(GoalTask):
         return np.atleast_2d(self.origin + unit * self.desired()[worm] @ self.axes)
 
     def goal_reward(self, achieved: npt.NDArray[Any], desired: npt.NDArray[Any]) -> FloatArray:
-        """Distance of the target from rest less that from the top's centre [heights]."""
+        """Distance of the target from rest less that from the top's centre [body lengths]."""
         target = np.asarray(desired, dtype=np.float64)
         nearer: FloatArray = GOAL_SCALE * (np.linalg.norm(target, axis=-1) - np.linalg.norm(target - achieved, axis=-1))
         return nearer
 
     def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
-        """Way from the top's centre to the target, over GOAL_SCALE heights."""
+        """Way from the top's centre to the target, over GOAL_SCALE body lengths."""
         way = np.clip(self.desired() - self.achieved(motion), -COMMAND_BOUND, COMMAND_BOUND)
         return np.asarray(way, dtype=np.float64)
 
     def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
-        """How much nearer the target is than at rest [heights]."""
+        """How much nearer the target is than at rest [body lengths]."""
         achieved, desired, reached = self.achieved(motion), self.desired(), self.memory["reach_time"]
         new = (reached == 0.0) & (_goal_distance(achieved, desired) <= self.REACHED)
         self.memory["reach_time"] = np.where(new, time, reached)
@@ -123,34 +124,34 @@ class Reach(GoalTask):
     @classmethod
     def gait(cls, lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
         """Bend towards the target that is held, lower or higher by all verticals or rings."""
-        return reaching_gait(lattice, layout, **needed(cls.name, command, "azimuth", "radius", "rise"))
+        return reaching_gait(lattice, layout, **required_commands(cls.name, command, "azimuth", "radius", "rise"))
 
     def command_ranges(self) -> dict[str, Command]:
         """Place of the target in cylindrical coordinates about the top at rest."""
         return {
-            "azimuth": Command(0.0, TURN, -TURN, TURN, "rad"),
-            "radius": Command(0.05, 0.2, 0.0, 1.5, "heights"),
-            "rise": Command(-0.08, 0.0, -1.0, 1.5, "heights"),
+            "azimuth": Command(0.0, TAU, -TAU, TAU, "rad"),
+            "radius": Command(0.05, 0.2, 0.0, 1.5, "body lengths"),
+            "rise": Command(-0.08, 0.0, -1.0, 1.5, "body lengths"),
         }
 
 
-EIGHT_TARGETS: Given = {"azimuth": [TURN * k / 8 for k in range(8)], "radius": 0.2, "rise": -0.05}
-"""Command of `Reach` for eight targets on a circle, as in Schaffer et al. 2024 (arXiv 2408.16069), within reach."""
+EIGHT_TARGETS: CommandValues = {"azimuth": [TAU * k / 8 for k in range(8)], "radius": 0.2, "rise": -0.05}
+"""Command of `Reach` for eight targets on a circle, as in Schaffer et al. 2024 (arXiv 2408.16069)."""
 
 
 def reaching_gait(lattice: Lattice, layout: MuscleLayout, azimuth: float, radius: float, rise: float) -> Gait:
     """Hold a bend towards the azimuth [rad], and the verticals or the rings all round to lower or raise the top.
 
     Sharpness of the bend s = p radius + q radius^3, where the bend alone lowers the top by about 5.5 / 6.7 radius^2,
-    and lengthening b = u rise + v radius^2; radius and rise in heights. Verticals take s cos + max(-b, 0), rings
+    and lengthening b = u rise + v radius^2; radius and rise in body lengths. Verticals take s cos + max(-b, 0), rings
     -s cos + max(b, 0), with the cosine of the angle from the azimuth.
     """
-    azimuth = number("azimuth", azimuth, -MOST, MOST, "rad")
-    radius = number("radius", radius, 0.0, MOST, "heights")
-    rise = number("rise", rise, -MOST, MOST, "heights")
+    azimuth = number("azimuth", azimuth, -MAX_NUMBER, MAX_NUMBER, "rad")
+    radius = number("radius", radius, 0.0, MAX_NUMBER, "body lengths")
+    rise = number("rise", rise, -MAX_NUMBER, MAX_NUMBER, "body lengths")
     sharpness = REACH_SHARPNESS[0] * radius + REACH_SHARPNESS[1] * radius**3
     lengthening = REACH_LENGTHENING[0] * rise + REACH_LENGTHENING[1] * radius**2
     middle = muscle_middles(lattice, layout)
     bend = sharpness * np.cos(np.arctan2(middle[:, 1], middle[:, 0]) - azimuth)
     shorten, lengthen = max(-lengthening, 0.0), max(lengthening, 0.0)
-    return hold(np.where(longitudinal(lattice, layout), bend + shorten, lengthen - bend))
+    return constant_gait(np.where(longitudinal(lattice, layout), bend + shorten, lengthen - bend))

@@ -11,7 +11,7 @@ from typing import Any
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import refused, subclass
+from lattice_gym.checks import invalid_value, subclass
 from lattice_gym.tasks.base import Task
 from lattice_gym.tasks.bending import Bending
 from lattice_gym.tasks.compression import Compression
@@ -41,7 +41,7 @@ def resolve_task(task: object) -> type[Task]:
     kind = subclass("task", task, Task, TASKS)  # type: ignore[type-abstract]
     missing = [name for name in NEEDED if not hasattr(kind, name)] + sorted(kind.__abstractmethods__)
     if missing:
-        raise refused("task", task, f"lacks {', '.join(missing)}")
+        raise invalid_value("task", task, f"lacks {', '.join(missing)}")
     return kind
 
 
@@ -55,7 +55,7 @@ def task_label(task: type[Task]) -> str:
     except (ImportError, AttributeError, ValueError):
         found = None
     if found is not task:
-        raise refused("task", task, f"cannot be imported as {label!r}; define it at the top of a module")
+        raise invalid_value("task", task, f"cannot be imported as {label!r}; define it at the top of a module")
     return label
 
 
@@ -100,5 +100,5 @@ def gait(task: str | type[Task], lattice: Lattice, layout: MuscleLayout, command
     kind = resolve_task(task)
     found = kind.gait(lattice, layout, command)
     if found is None:
-        raise refused("task", task, f"{kind.name} has no gait")
+        raise invalid_value("task", task, f"{kind.name} has no gait")
     return found

@@ -14,7 +14,7 @@ import numpy as np
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import Clamp, RodModel
-from lattice_gym.physics.laws.ball import Ball
+from lattice_gym.physics.laws.ball import RigidBall
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
 from lattice_gym.verification.case import Reading, Scene, advance_by, exact_case, sample
@@ -37,7 +37,7 @@ def _on_rails(n_elem: int, across: tuple[float, ...], height: float, **ball: Any
     rods = tuple(straight_rod((start, y, 0.0), (end, y, 0.0), n_elem, **ROD) for y in across)
     clamps = tuple(Clamp(k, n, min(n, n_elem - 1)) for k in range(len(rods)) for n in range(n_elem + 1))
     position = np.array([0.5 * ELEMENT, 0.0, height])
-    return RodModel(rods=rods, clamps=clamps, bolus=Ball(position=position, radius=RADIUS, mass=1.0, **ball))
+    return RodModel(rods=rods, clamps=clamps, ball=RigidBall(position=position, radius=RADIUS, mass=1.0, **ball))
 
 
 @exact_case(
@@ -56,7 +56,7 @@ def ball_at_rest(n_elem: int) -> Scene:
     model = _on_rails(n_elem, (0.0,), CONTACT, stiffness=SOFT, damping=damping, force=(0.0, 0.0, -GRAVITY))
 
     def observe(engine: Simulation) -> Reading:
-        depth = CONTACT - advance_by(engine, 1.2).bolus_position[:, 2]
+        depth = CONTACT - advance_by(engine, 1.2).ball_position[:, 2]
         return Reading(np.array([1.2]), 1e3 * depth, np.array([1e3 * GRAVITY / SOFT]))
 
     return Scene(model, model.rest_state(), STEP, observe)
@@ -77,16 +77,16 @@ def ball_that_rolls(n_elem: int) -> Scene:
     """Ball thrown along a rail, which slides and spins up until it rolls; read before and after."""
     arm = CONTACT - GRAVITY / STIFF
     model = _on_rails(n_elem, (0.0,), arm, stiffness=STIFF, friction=FRICTION, force=(0.0, 0.0, -GRAVITY))
-    assert model.bolus is not None
-    gain, rolling = FRICTION * GRAVITY * arm**2 / model.bolus.inertia, arm**2 / (arm**2 + model.bolus.inertia)
+    assert model.ball is not None
+    gain, rolling = FRICTION * GRAVITY * arm**2 / model.ball.inertia, arm**2 / (arm**2 + model.ball.inertia)
 
     def observe(engine: Simulation) -> Reading:
         times = np.linspace(0.02, 0.2, 10)
-        measured = sample(engine, times, lambda s: np.array([s.bolus_velocity[0, 0], arm * s.bolus_omega[0, 1]]))
+        measured = sample(engine, times, lambda s: np.array([s.ball_velocity[0, 0], arm * s.ball_omega[0, 1]]))
         exact = np.maximum(1.0 - FRICTION * GRAVITY * times, rolling), np.minimum(gain * times, rolling)
         return Reading(times, measured, np.stack(exact, axis=1))
 
-    start = replace(model.rest_state(), bolus_velocity=np.array([[1.0, 0.0, 0.0]]))
+    start = replace(model.rest_state(), ball_velocity=np.array([[1.0, 0.0, 0.0]]))
     return Scene(model, start, STEP, observe)
 
 
@@ -102,7 +102,7 @@ def _pressed(n_elem: int, load: float) -> Scene:
 
     def observe(engine: Simulation) -> Reading:
         times = np.linspace(0.1, 0.5, 5)
-        way = sample(engine, times, lambda state: state.bolus_position[0, 0] - 0.5 * ELEMENT)
+        way = sample(engine, times, lambda state: state.ball_position[0, 0] - 0.5 * ELEMENT)
         exact = 0.5 * max(load - 1.0, 0.0) * limit * times**2
         return Reading(times, way, exact, scale=0.5 * load * limit * times[-1] ** 2)
 
@@ -110,10 +110,10 @@ def _pressed(n_elem: int, load: float) -> Scene:
 
 
 def _creep_share() -> float:
-    """Share of its free way that a held ball may creep: what six sweeps forth and back leave of a step's speed.
+    """Creep of a ball that friction holds, over its free displacement: the slip left after six symmetric sweeps.
 
-    Friction of one rail adds 1 + a to its own slip and 1 - a to that of the other, with a = arm^2 / (2/5 radius^2); in
-    turns, twelve after the first, they take it down by the ratio of both.
+    The entries of the Delassus matrix are 1 + a for a rail's own slip and 1 - a for that of the other rail, with
+    a = arm^2 / (2/5 radius^2); each of the twelve updates after the first reduces the slip by their ratio.
     """
     turning = (CONTACT - PRESS / SOFT) ** 2 / (0.4 * RADIUS**2)
     return float(((turning - 1.0) / (turning + 1.0)) ** 12 * 2.0 * STEP / 0.5)
@@ -163,14 +163,14 @@ HIT_STEP = 1e-5
     reason="the couple's turn between two elements is a trapezoid sum: exact to the cube of their angle (5 mrad)",
 )
 def ball_hits_rod(n_elem: int) -> Scene:
-    """Spinning ball that hits a free rod off its middle and rubs on it."""
+    """Spinning ball that hits a free rod off its middle, with friction."""
     rod = straight_rod((-0.3, 0.01, 0.0), (0.3, 0.01, 0.0), n_elem, **ROD)
-    hitting = Ball(
+    hitting = RigidBall(
         position=np.array([0.15, 0.03, 0.105]), radius=RADIUS, mass=0.3, stiffness=1e4, damping=3.0, friction=0.5
     )
-    model = RodModel(rods=(rod,), bolus=hitting)
+    model = RodModel(rods=(rod,), ball=hitting)
     velocity, omega = np.array([[0.3, -0.2, -1.0]]), np.array([[5.0, 3.0, -2.0]])
-    start = replace(model.rest_state(), bolus_velocity=velocity, bolus_omega=omega)
+    start = replace(model.rest_state(), ball_velocity=velocity, ball_omega=omega)
 
     before = momenta(model, start)
 

@@ -11,10 +11,10 @@ from scipy.optimize import brentq
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.critical_step import critical_dt
 from lattice_gym.physics.rod import Rod, straight_frames
-from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.verification.bar import GAZZOLA, LENGTH, RHO, SPEED, E
-from lattice_gym.verification.case import STABLE_SHARE, Reading, Scene, advance_by, exact_case
+from lattice_gym.verification.case import CRITICAL_SHARE, Reading, Scene, advance_by, exact_case
 
 
 def _twisted_frames(position: FloatArray, normal: FloatArray, twist: FloatArray) -> FloatArray:
@@ -116,7 +116,7 @@ def michell_ring(n_elem: int) -> Scene:
         critical = np.sqrt(roots[np.argmin(np.abs(roots - 1.0))].real)
         return Reading(np.array([CRITICAL_TWIST]), np.array([critical * CRITICAL_TWIST]), np.array([CRITICAL_TWIST]))
 
-    return Scene(model, start, STABLE_SHARE * stable_dt(model), observe)
+    return Scene(model, start, CRITICAL_SHARE * critical_dt(model), observe)
 
 
 # The localised buckle -------------------------------------------------------------------------------------------------
@@ -236,7 +236,7 @@ def localised_buckle(n_elem: int) -> Scene:
         exact = np.arccos(1.0 - settled * slack / np.cosh(2.0 * settled * (s - 0.5)) ** 2)
         return Reading(s * LENGTH, np.arccos(np.clip(cosine, -1.0, 1.0)), exact)
 
-    return Scene(model, model.rest_state(), STABLE_SHARE * stable_dt(model), observe)
+    return Scene(model, model.rest_state(), CRITICAL_SHARE * critical_dt(model), observe)
 
 
 BUCKLING_CASES = (michell_ring, localised_buckle)

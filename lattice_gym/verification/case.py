@@ -19,8 +19,8 @@ from lattice_gym.physics.state import RodState
 SETTLING = 1.0
 """Damping rate over the slowest angular frequency where a scene is to come to rest: no mode creeps, each falls as
 exp(-rate t / 2)."""
-STABLE_SHARE = 0.5
-"""Time step of a scene over its predicted stable one, where nothing else sets it."""
+CRITICAL_SHARE = 0.5
+"""Time step of a scene over its predicted critical one, where nothing else sets it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,10 +26,10 @@ def momenta(model: RodModel, state: RodState) -> FloatArray:
         inertia = (rod.inertia * rod.rest_length / length)[:, None] * np.array([1.0, 1.0, 2.0])
         elements = model.elements(index)
         spin += np.einsum("eji,ej->i", state.directors[elements], inertia * state.omega[elements])
-    if model.bolus is not None:
-        carried = np.concatenate([carried, model.bolus.mass * state.bolus_velocity])
-        position = np.concatenate([position, state.bolus_position])
-        spin += model.bolus.inertia * state.bolus_omega[0]
+    if model.ball is not None:
+        carried = np.concatenate([carried, model.ball.mass * state.ball_velocity])
+        position = np.concatenate([position, state.ball_position])
+        spin += model.ball.inertia * state.ball_omega[0]
     return np.stack([carried.sum(axis=0), np.cross(position, carried).sum(axis=0) + spin])
 
 

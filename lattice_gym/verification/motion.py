@@ -9,11 +9,11 @@ import numpy as np
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.critical_step import critical_dt
 from lattice_gym.physics.laws.joints import Joint
-from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.state import RodState
 from lattice_gym.verification.bar import LENGTH, SPEED, bar
-from lattice_gym.verification.case import STABLE_SHARE, Reading, Scene, exact_case, sample
+from lattice_gym.verification.case import CRITICAL_SHARE, Reading, Scene, exact_case, sample
 
 AXIAL_MODES = np.array([1.0, 2.0, 3.0])
 
@@ -50,7 +50,7 @@ def axial_vibration(n_elem: int) -> Scene:
         measured = np.array([_frequency(signal, engine.dt) for signal in signals])
         return Reading(AXIAL_MODES, measured / exact, np.ones(len(exact)))
 
-    return Scene(model, replace(rest, velocity=velocity), 0.1 * stable_dt(model), observe)
+    return Scene(model, replace(rest, velocity=velocity), 0.1 * critical_dt(model), observe)
 
 
 def _frequency(signal: FloatArray, dt: float) -> float:
@@ -208,7 +208,7 @@ def soft_joint(n_elem: int) -> Scene:
     def observe(engine: Simulation) -> Reading:
         return Reading(times, 1e3 * sample(engine, times, gap), np.cos(2.0 * np.pi * times / period))
 
-    dt = times[0] / int(np.ceil(times[0] / (STABLE_SHARE * stable_dt(model))))
+    dt = times[0] / int(np.ceil(times[0] / (CRITICAL_SHARE * critical_dt(model))))
     return Scene(model, replace(rest, position=position), dt, observe)
 
 

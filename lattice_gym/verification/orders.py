@@ -24,9 +24,9 @@ from lattice_gym.checks import FloatArray
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.critical_step import critical_dt
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.loads import PointTorque
-from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.worm import build_model
 from lattice_gym.verification.bar import LENGTH, SPEED, bar
@@ -35,7 +35,7 @@ from lattice_gym.verification.motion import ringing_free_bar
 
 SECOND_ORDER_BAND, FIRST_ORDER_BAND = 0.15, 0.25
 SHARES = (0.4, 0.2, 0.1)
-"""Steps of the ringing bars, over the stable one."""
+"""Steps of the ringing bars, over the critical one."""
 ENERGY_ANGLES = (0.12, 0.06, 0.03)
 """Steps of the bar whose energy is watched, as `motion.ringing_free_bar` takes them."""
 VARIANTS: tuple[tuple[EngineName, Splitting], ...] = (
@@ -113,7 +113,7 @@ def ringing_bar(rate: float, share: float) -> Scene:
     """Clamped-free bar swinging along its axis, read against the exact motion of its very mesh.
 
     The mesh is a chain of masses, springs and dashpots, solved by its matrix exponential. Strains are 1e-7, and stretch
-    is linear to as much. `rate` [1/s] damps an inner node; `share` is the step over the stable one.
+    is linear to as much. `rate` [1/s] damps an inner node; `share` is the step over the critical one.
     """
     n, n_sample = 8, 16
     model = RodModel(rods=(bar(n, rate=rate),), clamps=(Clamp(0, node=0, element=0),))
@@ -127,7 +127,7 @@ def ringing_bar(rate: float, share: float) -> Scene:
     velocity[:, 2] = 1e-7 * SPEED * np.sin(0.5 * np.pi * np.arange(n + 1) / n)
     start = np.append(np.zeros(n), velocity[1:, 2])
     interval = 3.0 * LENGTH / SPEED / n_sample
-    dt = interval / int(np.ceil(interval / (share * stable_dt(model))))
+    dt = interval / int(np.ceil(interval / (share * critical_dt(model))))
 
     def observe(engine: Simulation) -> Reading:
         times = interval * np.arange(1, n_sample + 1)

@@ -6,11 +6,11 @@ import numpy as np
 
 from lattice_gym.engines.simulation import Simulation
 from lattice_gym.physics.assembly import Clamp, RodModel
+from lattice_gym.physics.critical_step import critical_dt
 from lattice_gym.physics.laws.loads import PointForce, PointTorque
 from lattice_gym.physics.rod import SHEAR_CORRECTION, Rod, rotation_between, straight_frames
-from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.verification.bar import AREA, GAZZOLA, LENGTH, RADIUS, RHO, SECOND_MOMENT, SPEED, E, G, bar
-from lattice_gym.verification.case import SETTLING, STABLE_SHARE, Reading, Scene, advance_by, exact_case
+from lattice_gym.verification.case import CRITICAL_SHARE, SETTLING, Reading, Scene, advance_by, exact_case
 
 
 @exact_case(
@@ -38,7 +38,7 @@ def axial_stretch(n_elem: int) -> Scene:
         moved = advance_by(engine, 60.0 / slowest).position[:, 2] - rest.position[:, 2]
         return Reading(z, moved, z * force / (E * AREA - force))
 
-    return Scene(model, rest, STABLE_SHARE * stable_dt(model), observe)
+    return Scene(model, rest, CRITICAL_SHARE * critical_dt(model), observe)
 
 
 @exact_case(
@@ -71,7 +71,7 @@ def timoshenko_cantilever(n_elem: int) -> Scene:
         bend = force * (LENGTH * s**2 / 2.0 - s**3 / 6.0) / (E * SECOND_MOMENT)
         return Reading(place, 1e3 * deflection, 1e3 * (force * s / (SHEAR_CORRECTION * G * AREA) + bend))
 
-    return Scene(model, model.rest_state(), STABLE_SHARE * stable_dt(model), observe)
+    return Scene(model, model.rest_state(), CRITICAL_SHARE * critical_dt(model), observe)
 
 
 def _turned_by_couples(n_elem: int, axis: int, stiffness: float, slowest: float, settling_time: float) -> Scene:
@@ -89,7 +89,7 @@ def _turned_by_couples(n_elem: int, axis: int, stiffness: float, slowest: float,
         exact[:, axis] = np.arange(n_elem) / n_elem
         return Reading(exact[:, axis] * LENGTH, turned, exact)
 
-    return Scene(model, model.rest_state(), STABLE_SHARE * stable_dt(model), observe)
+    return Scene(model, model.rest_state(), CRITICAL_SHARE * critical_dt(model), observe)
 
 
 LOVE = "Love 1927, Mathematical Theory of Elasticity"
@@ -199,7 +199,7 @@ def helical_spring(n_elem: int) -> Scene:
         deflection = moved[2] + np.cross(turned, -outward[-1])[2]
         return Reading(np.array([1.0, 2.0]), np.array([deflection, turned[2] * SPRING_RADIUS]), exact)
 
-    return Scene(model, model.rest_state(), STABLE_SHARE * stable_dt(model), observe)
+    return Scene(model, model.rest_state(), CRITICAL_SHARE * critical_dt(model), observe)
 
 
 STATIC_CASES = (axial_stretch, timoshenko_cantilever, uniform_bend, uniform_twist, helical_spring)

@@ -37,7 +37,7 @@ def draw(runs: Sequence[Run], path: Path) -> None:
     figure = new_figure(14.0, 4.6)
     left, middle, right = panels = figure.subplots(1, 3)
     distance = f"largest distance from the run at dt/{REFINEMENT} [height]"
-    dress(left, "", "time step over the predicted stable one", f"{distance}\n(top: 10 and more, or not finite)")
+    dress(left, "", "time step over the predicted critical one", f"{distance}\n(top: 10 and more, or not finite)")
     dress(middle, "", distance, "energy check: spurious energy in a control step\nover the energy at stake")
     dress(right, "", distance, "step check: largest distance from the run at dt/2\n[longest side]")
     for run in (run for run in runs if run.verdict in MARKER):

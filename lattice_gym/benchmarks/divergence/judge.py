@@ -53,7 +53,7 @@ class Run:
 
     seed: int
     share: float
-    """Time step over the predicted stable one."""
+    """Time step over the predicted critical one."""
     tension: float
     """[N]"""
     splitting: str

@@ -95,7 +95,7 @@ def report(folder: Path, *, command: str, quick: bool = False) -> bool:
     header = ["damping", "deviation", *next(iter(rows.values()))]
     checks = ", ".join(f"{name} {number}" for name, number in result["checks"].most_common())
     tables = [
-        f"{total} random worms with random muscles switched on and off, at 0.3 to 2 of the predicted stable step and "
+        f"{total} random worms with random muscles switched on and off, at 0.3 to 2 of the predicted critical step and "
         f"0.1 to 10 N, beside themselves at dt/{REFINEMENT}:",
         table(
             header,

@@ -13,9 +13,9 @@ from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import LAYOUTS, named_layout
 from lattice_gym.checks import FloatArray
 from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.critical_step import critical_dt
 from lattice_gym.physics.laws.activation import advance_activation
 from lattice_gym.physics.laws.damping import Splitting
-from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.worm import build_model
 
 N_CONTROL = 12
@@ -29,7 +29,7 @@ FIRST_SEED = 20_000
 
 
 def draw(seed: int) -> tuple[LatticeDesign, str, Splitting, float]:
-    """Design, layout, splitting, and step over the predicted stable one."""
+    """Design, layout, splitting, and step over the predicted critical one."""
     rng = np.random.default_rng(seed)
     while True:
         n_pairs, period_ratio = ((3, 1.5), (4, 2.0), (6, 1.5))[rng.integers(3)]
@@ -81,7 +81,7 @@ class Plan:
     layout: str
     splitting: Splitting
     share: float
-    """Time step over the predicted stable one."""
+    """Time step over the predicted critical one."""
     model: RodModel
     dt: float
     """[s]"""
@@ -95,7 +95,7 @@ def plan(seed: int) -> Plan:
     design, layout, splitting, share = draw(seed)
     lattice: Lattice = build_lattice(design)
     model: RodModel = build_model(lattice, named_layout(layout, lattice))
-    stable = stable_dt(model, design.max_tension, splitting)
+    stable = critical_dt(model, design.max_tension, splitting)
     n_substeps = min(max(1, math.ceil(CONTROL_DT / (share * stable))), MAX_SUBSTEPS)
     control_dt = min(CONTROL_DT, n_substeps * share * stable)
     dt, ramps = control_dt / n_substeps, tensions(design, model.n_muscle, control_dt, seed)

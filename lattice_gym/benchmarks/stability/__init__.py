@@ -1,1 +1,1 @@
-"""Stability: the predicted stable time step against the measured one."""
+"""Stability: the predicted critical time step against the measured one."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lattice_gym.body.design import LatticeDesign
-from lattice_gym.physics.laws.ball import Bolus
+from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.medium import Medium
@@ -64,10 +64,10 @@ def lying(stiffness: float, damping_ratio: float) -> World:
 
 def swallowing(stiffness: float, density: float) -> World:
     """Have a ball inside, with factors on the default's stiffness and density and its ratio of damping to critical."""
-    default = Bolus()
+    default = Ball()
     damping = math.sqrt(stiffness * density) * default.damping
     ball = replace(default, stiffness=stiffness * default.stiffness, density=density * default.density, damping=damping)
-    return World(bolus=replace(ball, radius=BALL_RADIUS, level=BALL_LEVEL))
+    return World(ball=replace(ball, radius=BALL_RADIUS, level=BALL_LEVEL))
 
 
 def touching(stiffness: float, tension: float) -> World:

@@ -64,7 +64,7 @@ def _heat_map(figure: Figure, axes: Axes, members: list[Limit], kind: str) -> No
     low, high = (0.4, 1.0) if kind == "ratio" else (0.0, 4.5)
     colours = colormaps["YlGn"].with_extremes(under="gold", over="tomato")
     image = axes.imshow(shown, origin="lower", aspect="auto", vmin=low, vmax=high, cmap=colours, alpha=0.85)
-    dress(axes, "predicted / measured" if kind == "ratio" else "measured stable step [us]", LABELS[x], LABELS[y])
+    dress(axes, "predicted / measured" if kind == "ratio" else "measured critical step [us]", LABELS[x], LABELS[y])
     axes.grid(False)
     axes.set_facecolor("0.9")
     axes.set_xticks(range(len(xs)), [f"{value:g}" for value in xs])
@@ -89,7 +89,7 @@ def _scatter(axes: Axes, limits: list[Limit]) -> None:
     span = np.array([0.7, 1.4]) * [f(1e6 * (limit.stable or math.nan) for limit in counted) for f in (min, max)]
     for share, style in AIMS:
         axes.loglog(span, share * span, style, color=INK, linewidth=1, label=f"predicted = {share:g} measured")
-    dress(axes, "Every counted case", "measured largest stable step [us]", "predicted [us]")
+    dress(axes, "Every counted case", "critical step [us]", "predicted [us]")
     axes.legend(fontsize=9)
 
 

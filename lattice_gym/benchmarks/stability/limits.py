@@ -1,4 +1,4 @@
-"""The predicted stable step against the measured one, over a grid and over random designs.
+"""The predicted critical step against the measured one, over a grid and over random designs.
 
 A case is a lattice worm with every muscle, driven by random bang-bang commands: each muscle fully on or off, drawn anew
 every control period. A step holds if over 2,000 steps, and no shorter a time than 2,000 predicted steps, the run stays
@@ -39,19 +39,19 @@ from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.critical_step import critical_dt
 from lattice_gym.physics.laws.activation import advance_activation
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.elasticity import MAX_DILATATION, MIN_DILATATION
 from lattice_gym.physics.measures import dilatation
-from lattice_gym.physics.stable_step import stable_dt
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 
-LEAST_RATIO = 0.4
+MIN_RATIO = 0.4
 """What predicted over measured should be at least."""
 N_STEPS = 2000
 SPLITTING: Splitting = "symmetric"
-"""PyElastica's is first order: near the stable limit its dampers alone cost more than 1 % of the height."""
+"""PyElastica's is first order: near the critical step its dampers alone cost more than 1 % of the height."""
 CONTROL_DT = 0.05
 """Time between commands [s]; no step can be longer."""
 REFINEMENT = 8
@@ -111,7 +111,7 @@ class Trial:
         lattice = build_lattice(design)
         self.design = design
         self.model: RodModel = build_model(lattice, named_layout("all", lattice), world)
-        self.predicted = stable_dt(self.model, design.max_tension, SPLITTING)
+        self.predicted = critical_dt(self.model, design.max_tension, SPLITTING)
 
     def fault(self, dt: float, n_steps: int) -> str:
         """Name what goes wrong at a step: "" if nothing, "inaccurate", "too strong" or an engine's status."""
@@ -174,7 +174,7 @@ def measure(case: Case) -> Limit:
     begin = time.perf_counter()
     trial = Trial(LatticeDesign(**case.design), World.from_dict(case.world))
     limit = _bisect(case, trial, 1)
-    if limit.ratio < LEAST_RATIO and case.group not in BOUNDS:
+    if limit.ratio < MIN_RATIO and case.group not in BOUNDS:
         limit = _bisect(case, trial, LONGER)
     return replace(limit, seconds=time.perf_counter() - begin)
 

@@ -1,4 +1,4 @@
-"""The stability report: predicted over measured stable step."""
+"""The stability report: predicted over measured critical step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lattice_gym.benchmarks.stability.figure import draw
 from lattice_gym.benchmarks.stability.limits import (
     FINEST,
     FORK_TENSION,
-    LEAST_RATIO,
+    MIN_RATIO,
     REFINEMENT,
     TOLERANCE,
     Limit,
@@ -73,8 +73,8 @@ def _judge(limits: list[Limit], criterion: str) -> dict[str, Any]:
         "median": median,
         "max": high,
         "n_above_1": int(np.sum(ratios > 1.0)),
-        "n_below_0.4": int(np.sum(near < LEAST_RATIO)),
-        "holds": high <= 1.0 and low >= LEAST_RATIO and median >= MEDIAN_RATIO,
+        "n_below_0.4": int(np.sum(near < MIN_RATIO)),
+        "holds": high <= 1.0 and low >= MIN_RATIO and median >= MEDIAN_RATIO,
     }
 
 

@@ -29,7 +29,7 @@ from lattice_gym.tasks.transport import Transport
 BARE = replace(LatticeDesign(), rotational_damping=0.0)
 """The default worm without its only optional part; translational damping is always there."""
 MEDIUM = Medium(drag=0.1)
-BALL = Transport.world(build_lattice(LatticeDesign())).bolus
+BALL = Transport.world(build_lattice(LatticeDesign())).ball
 BY_DIRECTION = Ground(static_friction=0.6, forward=0.5, backward=1.5, sideways=0.8)
 ADAPTATION = Adaptation(strain_gain=0.1, force_gain=0.1, fatigue_rate=0.1, recovery_rate=0.1)
 
@@ -75,7 +75,7 @@ FEATURES = (
         design=CRAWL,
         world=World(medium=Medium(), ground=BY_DIRECTION, lying=True),
     ),
-    Feature(name="ball", difference="that of transport, held by two rings, without weight", world=World(bolus=BALL)),
+    Feature(name="ball", difference="that of transport, held by two rings, without weight", world=World(ball=BALL)),
     Feature(
         name="self-contact",
         difference="every element of a rod may touch those of others",
@@ -98,7 +98,7 @@ FEATURES = (
         name="all together",
         difference="all of these, but muscles as rods",
         design=replace(LatticeDesign(), base="free"),
-        world=World(medium=MEDIUM, ground=BY_DIRECTION, bolus=BALL, contact=Contact(), lying=True),
+        world=World(medium=MEDIUM, ground=BY_DIRECTION, ball=BALL, contact=Contact(), lying=True),
         hill=Hill(),
         adaptation=ADAPTATION,
         checks={"energy_check": True, "step_check": True},
@@ -114,7 +114,7 @@ def _timer(feature: Feature, n_control: int) -> Callable[[], float]:
     active, n_substeps, adaptation = np.ones(model.n_muscle), round(CONTROL_DT / BENCHMARK_DT), feature.adaptation
 
     def control() -> None:
-        strength = None if adaptation is None else adaptation.untrained(model.n_muscle)
+        strength = None if adaptation is None else adaptation.initial(model.n_muscle)
         for _ in range(n_control):
             pull = TENSION * active if strength is None else TENSION * strength.factor
             health = engine.advance(pull, n_substeps)
@@ -122,7 +122,7 @@ def _timer(feature: Feature, n_control: int) -> Callable[[], float]:
                 raise RuntimeError(f"{feature.name}: {health}")
             if adaptation is not None and strength is not None:
                 strain = muscle_strain(model, engine.state.position)
-                strength = adaptation.used(strength, active, pull, strain, CONTROL_DT)
+                strength = adaptation.advance(strength, active, pull, strain, CONTROL_DT)
 
     def timed() -> float:
         engine.restore(model.rest_state())

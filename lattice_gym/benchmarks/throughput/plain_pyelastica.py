@@ -52,7 +52,7 @@ class PlainPyElastica:
     """
 
     def __init__(self, model: RodModel, tension: float, dt: float) -> None:
-        others = (model.forces, model.torques, model.lines, model.bolus, model.ground, model.hill, model.contact)
+        others = (model.forces, model.torques, model.lines, model.ball, model.ground, model.hill, model.contact)
         curved = any(rod.natural_curvature is not None for rod in model.rods)
         if any(others) or curved or model.gravity is not None or model.medium_drag > 0.0:
             raise ValueError("model: must hold no more than rods free of stress, joints, clamps and muscle rods")

@@ -19,7 +19,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-FIELDS = ("position", "velocity", "directors", "omega", "bolus_position", "bolus_velocity", "bolus_omega")
+FIELDS = ("position", "velocity", "directors", "omega", "ball_position", "ball_velocity", "ball_omega")
 """Of the state."""
 TIMED_ID, DT, TENSION = "LatticeWormExtension-v0", 1e-4, 0.5
 """Environment whose worm is timed, its step [s] and the tension in every muscle [N]: the benchmark scene."""
@@ -52,7 +52,10 @@ def _digests(env: gymnasium.Env[Any, Any], observation: Any, reward: float) -> d
     parts = observation if isinstance(observation, dict) else {"": observation}
     arrays = {f"observation {name}".strip(): part for name, part in parts.items()} | {"reward": np.float64(reward)}
     state: Any = env.unwrapped.state  # type: ignore[attr-defined]
-    arrays |= {f"state.{name}": getattr(state, name) for name in FIELDS if hasattr(state, name)}
+    for name in FIELDS:
+        own = name if hasattr(state, name) else name.replace("ball", "bolus")  # its name in older commits
+        if hasattr(state, own):
+            arrays[f"state.{name}"] = getattr(state, own)
     return {name: hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for name, array in arrays.items()}
 
 

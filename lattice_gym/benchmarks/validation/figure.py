@@ -13,7 +13,7 @@ from lattice_gym.benchmarks.validation.study import Validation
 from lattice_gym.checks import FloatArray
 from lattice_gym.verification.case import Outcome
 
-_MOST_MARKS = 16
+_MAX_MARKS = 16
 _COLUMNS = 6
 _ELEMENT_TICKS = (4, 8, 16, 32, 64, 128, 256)
 
@@ -57,7 +57,7 @@ def _draw_curve(axes: Axes, pair: Sequence[Outcome]) -> None:
     else:
         lines = axes.plot(reading.x, _shown(pair[0], exact=True), color=PALE, linewidth=7.0, solid_capstyle="round")
         lines[0].set_label("exact")
-    every = -(-len(reading.x) // _MOST_MARKS)
+    every = -(-len(reading.x) // _MAX_MARKS)
     for outcome, mark, size in zip(pair, ("o", "x"), (6.0, 5.0), strict=True):
         y = _shown(outcome, exact=False)
         marks = axes.plot(

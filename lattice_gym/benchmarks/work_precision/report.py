@@ -28,7 +28,7 @@ from lattice_gym.benchmarks.work_precision.study import (
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.envs.fidelity import FIDELITIES
 
-LEAST_GAIN = 100.0
+MIN_GAIN = 100.0
 """How many times less computing than PyElastica the fused engine must need at every target."""
 GAIT_STEPS = {"peristalsis": 200, "extension": 40, "compression": 40, "bending": 40}
 """Control steps of an episode of registered length."""
@@ -212,7 +212,7 @@ def report(folder: Path, *, command: str, quick: bool) -> bool:
     ]
     reached = [(found["pyelastica"], found["fused"]) for measured in studies for found in measured.targets.values()]
     ratios = [reference.cost / fused.cost for reference, fused in reached if reference and fused]
-    good = len(ratios) == len(studies) * len(TARGETS) and min(ratios) >= LEAST_GAIN
+    good = len(ratios) == len(studies) * len(TARGETS) and min(ratios) >= MIN_GAIN
     result = {
         "quick": quick,
         "studies": [_json(measured) for measured in studies],

@@ -13,7 +13,7 @@ import numpy as np
 from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.base import Engine
 from lattice_gym.engines.fused.kernels.layout import CELL
-from lattice_gym.engines.fused.pack import Features, Pack, Shown, features, n_record, needs_own_pack
+from lattice_gym.engines.fused.pack import Features, Outputs, Pack, features, n_record, needs_own_pack
 from lattice_gym.engines.health import Health
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
@@ -62,13 +62,13 @@ class FusedEngine(Engine):
         groups: dict[_Group, list[int]] = defaultdict(list)
         for worm, model in enumerate(self.models):
             groups[self._group(worm, model)].append(worm)
-        shown = Shown(self.position, self.velocity, self.bolus_position, self.bolus_velocity)
+        outputs = Outputs(self.position, self.velocity, self.ball_position, self.ball_velocity)
         before, self._by_key = self._by_key, {}
         for group, worms in groups.items():
             for rows in np.array_split(worms, _pack_count(self.models[worms[0]], len(worms), self.num_threads)):
                 key, models = (group, tuple(rows.tolist())), [self.models[worm] for worm in rows]
                 self._by_key[key] = before.get(key) or Pack(
-                    models, self.dt, self.splitting, self.energy_check, rows, shown
+                    models, self.dt, self.splitting, self.energy_check, rows, outputs
                 )
         self.packs = list(self._by_key.values())
         places = {worm: (pack, place) for pack in self.packs for place, worm in enumerate(pack.rows.tolist())}

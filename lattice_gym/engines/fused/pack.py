@@ -24,9 +24,9 @@ from lattice_gym.engines.fused.kernels import (
     muscles,
     step,
 )
-from lattice_gym.engines.fused.kernels.health import Worms
+from lattice_gym.engines.fused.kernels.health import WormTable
 from lattice_gym.engines.fused.kernels.layout import CELL, LANES, WORK, Blocks, Places, aligned
-from lattice_gym.engines.health import Health, Status, joint_gap_limits, overstretched, torn
+from lattice_gym.engines.health import Health, Status, joint_gap_limits, overstretched_line, torn_joint
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
 from lattice_gym.physics.laws.damping import Splitting
@@ -37,22 +37,22 @@ from lattice_gym.physics.rod import Rod
 from lattice_gym.physics.state import RodState
 
 
-class Shown(NamedTuple):
+class Outputs(NamedTuple):
     """Positions [m] and velocities [m/s] of all nodes and balls, as of the last sound moment of each worm.
 
-    Shapes (n, n_node, 3) and (n, n_bolus, 3).
+    Shapes (n, n_node, 3) and (n, n_ball, 3).
     """
 
     position: FloatArray
     velocity: FloatArray
-    bolus_position: FloatArray
-    bolus_velocity: FloatArray
+    ball_position: FloatArray
+    ball_velocity: FloatArray
 
 
 class Features(NamedTuple):
-    """What a scene has, and so what is compiled for it: worms side by side have all of it in common.
+    """Features for which code is compiled; all worms of a pack have the same ones.
 
-    Alone, a worm that lacks a feature pays nothing for it, and the code that has none rounds differently.
+    Absent features cost nothing, but code with and without them rounds differently: so packs are never mixed.
     """
 
     splitting: Splitting
@@ -80,9 +80,9 @@ def features(model: RodModel, splitting: Splitting) -> Features:
 
 
 def needs_own_pack(model: RodModel) -> bool:
-    """Whether a scene has what a pack has for one worm only: ball, contact, or the axis for friction by direction."""
+    """Whether a worm needs a pack of its own: with a ball, contact, or friction that depends on direction."""
     by_direction = model.ground is not None and not model.ground.isotropic
-    return model.bolus is not None or model.contact is not None or by_direction
+    return model.ball is not None or model.contact is not None or by_direction
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class Pack:
     """Worms of one shape and with the same features side by side in lanes: what the compiled code works on.
 
     A worm moves to the last bit as it would alone. Where it ends a call in a sound state it is written in its row of
-    `shown`. A pack of one worm has ball, contact and energy account where the scene does.
+    `outputs`. A pack of one worm has ball, contact and energy account where the scene does.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class Pack:
     dt, splitting, energy_check
         As in `engines.base.Engine`; the check in a pack of one worm only.
     rows
-        Row of each worm in `shown`, shape (n_worm,).
+        Row of each worm in `outputs`, shape (n_worm,).
     shown
         Positions and velocities of the worms of all packs.
     """
@@ -151,10 +151,10 @@ class Pack:
         splitting: Splitting,
         energy_check: bool,
         rows: IntArray,
-        shown: Shown,
+        outputs: Outputs,
     ) -> None:
         model, n_worm = models[0], len(models)
-        self.models, self.rows, self._shown = list(models), rows, shown
+        self.models, self.rows, self._outputs = list(models), rows, outputs
         self._dt, self._splitting, self._energy_check = dt, splitting, energy_check
         self._time = np.zeros(n_worm)
         place = self._placement = _place(model, n_worm)
@@ -171,7 +171,7 @@ class Pack:
         self._tension = muscles.pack(model, self._element, cells)
         has = features(model, splitting)
         tied = joints.pack(model, self._node)
-        self.scene = step.Scene(
+        self.scene = step.Laws(
             joints=tied,
             joint_damping=joints.pack_damping(model, tied),
             lines=lines.pack(model, self._node),
@@ -187,8 +187,8 @@ class Pack:
         )
         gaps, bounds = np.zeros((n_worm, len(model.joints))), (MIN_DILATATION, MAX_DILATATION)
         status, found = np.zeros((2, n_worm), np.int64)
-        self._worms = Worms(
-            *self._node, *self._element, gaps, *bounds, rows, shown.position, shown.velocity, status, found
+        self._worms = WormTable(
+            *self._node, *self._element, gaps, *bounds, rows, outputs.position, outputs.velocity, status, found
         )
         for worm, own in enumerate(models):
             self.fill(worm, own)
@@ -207,7 +207,7 @@ class Pack:
         for clamp in model.clamps:
             if clamp.node is not None:
                 n = int(model.node_offset[clamp.rod]) + clamp.node
-                cells["keep"][node.of(n)] = cells["push"][node.of(n)] = 0.0
+                cells["keep"][node.of(n)] = cells["kick"][node.of(n)] = 0.0
             if clamp.element is not None:
                 cells["spin_kick"][element.of(int(model.element_offset[clamp.rod]) + clamp.element)] = 0.0
         if scene.loads is not None:
@@ -226,9 +226,9 @@ class Pack:
     def _pack_alone(self, model: RodModel) -> None:
         """Pack what only a pack of one worm has."""
         node, element, n_cell, dt = self._node.of(0), self._element.of(0), self._placement.n_cell, self._dt
-        checked, shown, row = self._energy_check, self._shown, self.rows[0]
+        checked, outputs, row = self._energy_check, self._outputs, self.rows[0]
         self.scene = self.scene._replace(
-            ball=ball.pack(model, element, n_cell, dt, (shown.bolus_position[row], shown.bolus_velocity[row])),
+            ball=ball.pack(model, element, n_cell, dt, (outputs.ball_position[row], outputs.ball_velocity[row])),
             contact=contact.pack(model, element),
             account=account.pack(model, node, element, n_cell, dt, self._splitting) if checked else None,
         )
@@ -251,7 +251,7 @@ class Pack:
 
     def state(self, worm: int) -> RodState:
         """Copy the state of a worm."""
-        cells, bolus = self.blocks.cells, self.scene.ball
+        cells, sphere = self.blocks.cells, self.scene.ball
         (node, lane), (element, own) = self._node.of(worm), self._element.of(worm)
         state = RodState(
             position=cells["x"][node, :, lane],
@@ -260,25 +260,25 @@ class Pack:
             omega=cells["w"][element, :, own],
             time=float(self._time[worm]),
         )
-        if bolus is None:
+        if sphere is None:
             return state
-        position, velocity, omega = np.stack([bolus.position, bolus.velocity, bolus.omega])[:, None]
-        return replace(state, bolus_position=position, bolus_velocity=velocity, bolus_omega=omega)
+        position, velocity, omega = np.stack([sphere.position, sphere.velocity, sphere.omega])[:, None]
+        return replace(state, ball_position=position, ball_velocity=velocity, ball_omega=omega)
 
     def restore(self, worm: int, state: RodState) -> None:
         """Take over the state of a worm; it is neither checked nor shown."""
-        cells, bolus = self.blocks.cells, self.scene.ball
+        cells, sphere = self.blocks.cells, self.scene.ball
         (node, lane), (element, own) = self._node.of(worm), self._element.of(worm)
         cells["x"][node, :, lane] = state.position
         cells["v"][node, :, lane] = state.velocity
         cells["q"][element, :, own] = state.directors.reshape(-1, 9)
         cells["w"][element, :, own] = state.omega
         self._time[worm] = state.time
-        if bolus is not None:
-            bolus.position[:], bolus.velocity[:] = state.bolus_position[0], state.bolus_velocity[0]
-            bolus.omega[:] = state.bolus_omega[0]
+        if sphere is not None:
+            sphere.position[:], sphere.velocity[:] = state.ball_position[0], state.ball_velocity[0]
+            sphere.omega[:] = state.ball_omega[0]
         if self.scene.contact is not None:
-            contact.forget(self.scene.contact)
+            contact.clear_list(self.scene.contact)
 
     def advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> IntArray:
         """Advance with tensions that go from `start` to `end` [N], shape (n_worm, n_muscle).
@@ -291,7 +291,7 @@ class Pack:
         first = start + 0.5 * rise
         self._tension.write(first, rise)
         lines.write_tension(self.scene.lines, first, rise)
-        step.run(self.blocks, self.scene, self._worms, n_substeps, self._dt)
+        step.advance(self.blocks, self.scene, self._worms, n_substeps, self._dt)
         self._time += n_substeps * self._dt
         return self._worms.status
 
@@ -301,11 +301,11 @@ class Pack:
         if code == Status.OK:
             return Health()
         if code == Status.TORN:
-            return torn(model, found)
+            return torn_joint(model, found)
         if found < 0:
             return Health(code)
         if found >= model.n_elem:
-            return overstretched(model, found - model.n_elem)
+            return overstretched_line(model, found - model.n_elem)
         rod = int(np.searchsorted(model.element_offset, found, side="right")) - 1
         return Health(code, rod, found - int(model.element_offset[rod]))
 

@@ -44,7 +44,7 @@ class Assembly:
         self.flow = Flow()
         """Energy that entered and left in the last call to `advance`; kept with the energy check."""
         self._energy_check = energy_check
-        self._bodies = Bodies(model, make_rods(model), make_sphere(model.bolus), dt, np.zeros((model.n_muscle, 1)))
+        self._bodies = Bodies(model, make_rods(model), make_sphere(model.ball), dt, np.zeros((model.n_muscle, 1)))
         self._laws = [law(self._bodies) for law in LAWS if law.acts_on(model)]
         self._joint_gap_limits = joint_gap_limits(model)
         self._simulator = self._assemble()
@@ -66,17 +66,17 @@ class Assembly:
     @property
     def state(self) -> RodState:
         """A copy of the state."""
-        rods, sphere, of_ball = self._bodies.rods, self._bodies.sphere, {}
+        rods, sphere, ball_state = self._bodies.rods, self._bodies.sphere, {}
         if sphere is not None:
             moving = (sphere.position_collection, sphere.velocity_collection, sphere.omega_collection)
-            names = ("bolus_position", "bolus_velocity", "bolus_omega")
-            of_ball = {name: array.T.copy() for name, array in zip(names, moving, strict=True)}
+            names = ("ball_position", "ball_velocity", "ball_omega")
+            ball_state = {name: array.T.copy() for name, array in zip(names, moving, strict=True)}
         return RodState(
             position=self._bodies.positions(),
             velocity=self._bodies.velocities(),
             directors=np.concatenate([np.moveaxis(rod.director_collection, -1, 0) for rod in rods]),
             omega=np.concatenate([rod.omega_collection.T for rod in rods]),
-            **of_ball,
+            **ball_state,
             time=self.time,
         )
 
@@ -90,9 +90,9 @@ class Assembly:
             rod.omega_collection[:] = state.omega[elements].T
             _clear(rod)
         if (sphere := self._bodies.sphere) is not None:
-            sphere.position_collection[:] = state.bolus_position.T
-            sphere.velocity_collection[:] = state.bolus_velocity.T
-            sphere.omega_collection[:] = state.bolus_omega.T
+            sphere.position_collection[:] = state.ball_position.T
+            sphere.velocity_collection[:] = state.ball_velocity.T
+            sphere.omega_collection[:] = state.ball_omega.T
             _clear(sphere)
         self.time = state.time
 

@@ -113,7 +113,7 @@ class Contact(Law):
         for s, e, sign in zip(share, (i, j), (1.0, -1.0), strict=True):
             np.add.at(on_node, first[e], sign * (1.0 - s) * force)
             np.add.at(on_node, first[e] + 1, sign * s * force)
-        self.bodies.push(on_node)
+        self.bodies.add_node_forces(on_node)
         self._power = float(np.sum((spring - push) * rate))
 
     def flow(self, before: RodState) -> Flow:

@@ -13,7 +13,7 @@ from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
 from lattice_gym.physics.state import RodState
 
-_LARGEST_RATE = 300.0
+_MAX_RATE = 300.0
 """Damping this large leaves no speed worth counting; without the bound what it left would overflow."""
 
 
@@ -59,10 +59,10 @@ class LinearDamping(Law):
             nodes = model.nodes(index)
             mass, damping = model.node_mass[nodes], model.node_damping[nodes]
             late, early = made.velocity_collection, before.velocity[nodes].T
-            rate = np.minimum(dt * damping / mass, _LARGEST_RATE)
+            rate = np.minimum(dt * damping / mass, _MAX_RATE)
             lost += float(0.5 * mass * np.expm1(rate) @ (late * (late + early)).sum(axis=0))
             spin, early = made.omega_collection, before.omega[model.elements(index)].T
-            rate = np.minimum(dt * rod.rotational_damping / rod.inertia * made.dilatation, _LARGEST_RATE)
+            rate = np.minimum(dt * rod.rotational_damping / rod.inertia * made.dilatation, _MAX_RATE)
             across, along = 0.5 * np.expm1(rate), np.expm1(0.5 * rate)
             both = spin * (spin + early)
             lost += float(rod.inertia / made.dilatation @ (across * (both[0] + both[1]) + along * both[2]))

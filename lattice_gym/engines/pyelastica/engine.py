@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lattice_gym.checks import FloatArray, IntArray, refused
+from lattice_gym.checks import FloatArray, IntArray, invalid_value
 from lattice_gym.engines.base import Engine
 from lattice_gym.engines.health import Health
 from lattice_gym.engines.pyelastica.assembly import Assembly
@@ -36,7 +36,7 @@ class PyElasticaEngine(Engine):
             models, dt, splitting, energy_check=energy_check, step_check=step_check, num_threads=num_threads
         )
         if splitting != "pyelastica":
-            raise refused("splitting", splitting, "the pyelastica engine damps as PyElastica does; take fused")
+            raise invalid_value("splitting", splitting, "the pyelastica engine damps as PyElastica does; take fused")
         self._assemblies = [Assembly(model, self.dt, energy_check) for model in self.models]
         self._ends = [Health()] * self.n_worm
 

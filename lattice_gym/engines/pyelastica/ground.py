@@ -67,25 +67,25 @@ class _Friction(DamperBase[CosseratRod]):
     """Coulomb friction: an impulse against the slip that all else left, at most its coefficient times the normal one.
 
     PyElastica damps in the order in which dampers are declared, after all kicks and constraints: this comes last.
-    `push` is what a unit force adds to a node's velocity in a step, shape (n_node,); `axis` is the body's, shape (3,),
+    `kick` is what a unit force adds to a node's velocity in a step, shape (n_node,); `axis` is the body's, shape (3,),
     None where friction is the same in all directions.
     """
 
     def __init__(
-        self, ground: GroundLaw, push: FloatArray, reaction: _Reaction, axis: FloatArray | None, **kwargs: Any
+        self, ground: GroundLaw, kick: FloatArray, reaction: _Reaction, axis: FloatArray | None, **kwargs: Any
     ) -> None:
         super().__init__(**kwargs)
-        self.ground, self.push, self.reaction, self.axis = ground, push, reaction, axis
+        self.ground, self.kick, self.reaction, self.axis = ground, kick, reaction, axis
 
     def dampen_rates(self, system: CosseratRod, time: np.float64 = START) -> None:
         slip, ground = system.velocity_collection[:2], self.ground
         speed = np.hypot(slip[0], slip[1])
         direction = np.divide(slip, speed, out=np.zeros_like(slip), where=speed > 0.0)
         bound = self.reaction.normal * self._factor(direction)
-        sticks = speed <= ground.static_friction * bound * self.push
+        sticks = speed <= ground.static_friction * bound * self.kick
         kinetic = -ground.kinetic_friction * bound * direction
-        self.reaction.friction[:] = np.where(sticks, -slip / self.push, kinetic)
-        slip[:] = np.where(sticks, 0.0, slip + kinetic * self.push)
+        self.reaction.friction[:] = np.where(sticks, -slip / self.kick, kinetic)
+        slip[:] = np.where(sticks, 0.0, slip + kinetic * self.kick)
 
     def _factor(self, direction: FloatArray) -> FloatArray:
         """Factor on the coefficients of friction for slip in a direction of the plane, shape (2, n_node)."""
@@ -130,9 +130,9 @@ class Ground(Law):
 
     def add_dampers(self, simulator: Simulator) -> None:
         """Add the friction on every rod."""
-        push = self.bodies.node_push()
+        kick = self.bodies.node_kick()
         for index, (rod, reaction) in enumerate(zip(self.bodies.rods, self._reactions, strict=True)):
-            given = push[self.bodies.model.nodes(index)]
+            given = kick[self.bodies.model.nodes(index)]
             simulator.dampen(rod).using(_Friction, self._law, given, reaction, self._axis)
 
     def flow(self, before: RodState) -> Flow:

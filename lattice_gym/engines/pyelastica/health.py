@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.health import Health, Status, overstretched, torn
+from lattice_gym.engines.health import Health, Status, overstretched_line, torn_joint
 from lattice_gym.engines.pyelastica.law import Bodies
 from lattice_gym.engines.pyelastica.lines import line_lengths
 from lattice_gym.physics.laws.elasticity import MAX_DILATATION, MIN_DILATATION
@@ -20,10 +20,10 @@ def health_of(bodies: Bodies, joint_gap_limits: FloatArray) -> Health:
     position = bodies.positions()
     for k, (a, b) in enumerate(zip(*model.tie_nodes(model.joints), strict=True)):
         if not np.linalg.norm(position[b] - position[a]) <= joint_gap_limits[k]:
-            return torn(model, k)
+            return torn_joint(model, k)
     for k, (line, length) in enumerate(zip(model.lines, line_lengths(model, position), strict=True)):
         if not MIN_DILATATION <= length / line.rest_length <= MAX_DILATATION:
-            return overstretched(model, k)
+            return overstretched_line(model, k)
     if (sphere := bodies.sphere) is not None:
         moving = (sphere.position_collection, sphere.velocity_collection, sphere.omega_collection)
         if not all(np.isfinite(value).all() for value in moving):

@@ -8,7 +8,7 @@ from lattice_gym.checks import FloatArray
 from lattice_gym.physics.laws.hill import Hill
 
 
-def hill_share(hill: Hill, length: FloatArray, rate: FloatArray) -> FloatArray:
+def hill_factor(hill: Hill, length: FloatArray, rate: FloatArray) -> FloatArray:
     """Share of the tension that acts, by length over rest length and its rate [1/s], both of one shape."""
     share: FloatArray = np.ones_like(length)
     if hill.width is not None:

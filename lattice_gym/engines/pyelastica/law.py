@@ -46,7 +46,7 @@ class Bodies(NamedTuple):
         """Velocities of all nodes [m/s], shape (n_node, 3)."""
         return np.concatenate([rod.velocity_collection.T for rod in self.rods])
 
-    def push(self, force: FloatArray) -> None:
+    def add_node_forces(self, force: FloatArray) -> None:
         """Add forces on all nodes [N], shape (n_node, 3)."""
         for index, rod in enumerate(self.rods):
             rod.external_forces += force[self.model.nodes(index)].T
@@ -55,7 +55,7 @@ class Bodies(NamedTuple):
         """Rows of the first node of every element, shape (n_elem,); the other is the next row."""
         return np.delete(np.arange(self.model.n_node), self.model.node_offset[1:] - 1)
 
-    def node_push(self) -> FloatArray:
+    def node_kick(self) -> FloatArray:
         """Velocity that a unit force adds to each node in a step [m/(N s)], damping included, shape (n_node,)."""
         mass, damping = self.model.node_mass, self.model.node_damping
         given: FloatArray = self.dt / mass * np.exp(-damping / mass * self.dt)

@@ -8,7 +8,7 @@ from elastica.rod.cosserat_rod import CosseratRod
 from elastica.typing import ConnectionIndex, RigidBodyType, RodType
 
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.pyelastica.hill import hill_share
+from lattice_gym.engines.pyelastica.hill import hill_factor
 from lattice_gym.engines.pyelastica.law import START, Bodies, Law, Simulator
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
@@ -43,7 +43,7 @@ class _Line(ConnectionBase[CosseratRod]):
         if self.hill is not None:
             apart = system_two.velocity_collection[:, index_two] - system_one.velocity_collection[:, index_one]
             rate = apart @ side / length / self.rest_length
-            self.acting *= hill_share(self.hill, np.atleast_1d(dilatation), np.atleast_1d(rate))
+            self.acting *= hill_factor(self.hill, np.atleast_1d(dilatation), np.atleast_1d(rate))
         force = (self.acting[0] + self.stiffness * (dilatation - 1.0) / dilatation) * side / length
         system_one.external_forces[:, index_one] += force
         system_two.external_forces[:, index_two] -= force

@@ -25,7 +25,7 @@ class Medium(Law):
 
 
 def buoyancy(model: RodModel) -> FloatArray:
-    """Force on every node of the medium that it makes room for [N], shape (n_node, 3)."""
+    """Buoyancy on every node [N], shape (n_node, 3)."""
     if model.gravity is None:
         return np.zeros((model.n_node, 3))
     force: FloatArray = -np.outer(model.medium_density * model.node_volume, model.gravity)

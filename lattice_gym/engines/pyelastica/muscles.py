@@ -7,7 +7,7 @@ from elastica.external_forces import NoForces
 from elastica.rod.cosserat_rod import CosseratRod
 
 from lattice_gym.checks import FloatArray
-from lattice_gym.engines.pyelastica.hill import hill_share
+from lattice_gym.engines.pyelastica.hill import hill_factor
 from lattice_gym.engines.pyelastica.law import START, Bodies, Law, Simulator
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
@@ -29,7 +29,7 @@ class _Contraction(NoForces[CosseratRod]):
         self.acting[:] = self.tension
         if self.hill is not None:
             rate = np.sum(np.diff(system.velocity_collection) * system.tangents, axis=0) / system.rest_lengths
-            self.acting *= hill_share(self.hill, system.lengths / system.rest_lengths, rate)
+            self.acting *= hill_factor(self.hill, system.lengths / system.rest_lengths, rate)
         pull = self.acting * system.tangents
         system.external_forces[:, :-1] += pull
         system.external_forces[:, 1:] -= pull

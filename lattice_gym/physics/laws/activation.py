@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from lattice_gym.body.design import LatticeDesign
-from lattice_gym.checks import FloatArray, Parameters, array, number, real, refused, subclass
+from lattice_gym.checks import FloatArray, Parameters, array, invalid_value, number, real, subclass
 
 _NEWTON = 30
 """Newton's steps at most; from the start that is taken the last bit is reached in under ten."""
@@ -65,7 +65,7 @@ class FirstOrder(Activation):
     def advance(self, state: FloatArray, command: FloatArray, duration: float) -> FloatArray:
         """Follow the command by exponentials."""
         rising, falling = (math.exp(-duration / time) for time in (self.rise_time, self.decay_time))
-        return followed(state[0], command, rising, falling)[None]
+        return relax(state[0], command, rising, falling)[None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +148,7 @@ def resolve_activation(given: object, design: LatticeDesign) -> Activation:
     if not isinstance(values, Mapping) or not isinstance(law := values.get("law"), str):
         choices = ", ".join(map(repr, ACTIVATIONS))
         must = f"must be one of {choices}, 'module:Class', an Activation, None or a dict whose 'law' is such a string"
-        raise refused("activation", given, must)
+        raise invalid_value("activation", given, must)
     kind = subclass("activation law", law, Activation, ACTIVATIONS)  # type: ignore[type-abstract]
     own = {field.name for field in fields(kind)}
     times = {name: getattr(design, name) for name in ("rise_time", "decay_time") if name in own}
@@ -166,11 +166,11 @@ def advance_activation(
     rise, decay = (number(name, value, 0.0, unit="s", above=True) for name, value in times)
     time = number("duration", duration, 0.0, unit="s")
     now = array("activation", activation)
-    return followed(now, array("command", command, now.shape), math.exp(-time / rise), math.exp(-time / decay))
+    return relax(now, array("command", command, now.shape), math.exp(-time / rise), math.exp(-time / decay))
 
 
-def followed(now: FloatArray, towards: FloatArray, rising: float, falling: float) -> FloatArray:
-    """Activation that has come nearer to a command, by shares of the way that are left where it rises and falls."""
+def relax(now: FloatArray, towards: FloatArray, rising: float, falling: float) -> FloatArray:
+    """Relax towards a command; `rising` and `falling` are the shares of the difference that remain."""
     left = np.where(towards > now, rising, falling)
     # Written from the command, not the activation: so no rounding carries the result past the command.
     return towards + left * (now - towards)

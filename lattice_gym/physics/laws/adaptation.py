@@ -14,31 +14,31 @@ MODES = ("continuous", "episode")
 
 @dataclass(frozen=True, eq=False)
 class Strength:
-    """Strength of every muscle over that of a fresh, untrained one, and what its use was: shape (..., n_muscle)."""
+    """Strength of every muscle over that of a fresh, untrained one, and its use so far: shape (..., n_muscle)."""
 
-    grown: FloatArray
+    growth: FloatArray
     """Factor by growth, from 1 to the cap."""
     fresh: FloatArray
     """Share that is not fatigued, from 0 to 1."""
-    strained: FloatArray
-    """Size of the strain, added up over the episode [s]; only with the mode "episode"."""
-    loaded: FloatArray
-    """Tension, added up over the episode [N s]; only with the mode "episode"."""
+    strain_integral: FloatArray
+    """Integral of |strain| over the episode [s]; only with the mode "episode"."""
+    tension_integral: FloatArray
+    """Integral of the tension over the episode [N s]; only with the mode "episode"."""
     time: FloatArray | float = 0.0
-    """Time over which they were added up [s], shape (...,)."""
+    """Time of both integrals [s], shape (...,)."""
 
     def __repr__(self) -> str:
-        return f"Strength({self.grown.shape[-1]} muscles, factor {self.factor.min():.6g} to {self.factor.max():.6g})"
+        return f"Strength({self.growth.shape[-1]} muscles, factor {self.factor.min():.6g} to {self.factor.max():.6g})"
 
     @property
     def factor(self) -> FloatArray:
         """Factor on the tension."""
-        return self.grown * self.fresh
+        return self.growth * self.fresh
 
     def row(self, worm: int) -> Strength:
         """Strength of one of several worms."""
-        parts = (self.grown, self.fresh, self.strained, self.loaded)
-        time = np.broadcast_to(self.time, self.grown.shape[:1])
+        parts = (self.growth, self.fresh, self.strain_integral, self.tension_integral)
+        time = np.broadcast_to(self.time, self.growth.shape[:1])
         return Strength(*(part[worm] for part in (*parts, time)))
 
     def where(self, changed: npt.NDArray[np.bool_], other: Strength) -> Strength:
@@ -78,7 +78,7 @@ class Adaptation(Parameters):
     force_gain: float = real(0.0, 0.0, 1e6, "1/N")
     """Growth by tension [1/N]."""
     cap: float = real(2.0, 1.0, 1e3, "1")
-    """Most that growth comes to, over the strength of an untrained muscle."""
+    """Largest factor by growth."""
     mode: str = checked("continuous", choice, choices=MODES)
     """When muscles grow: "continuous", or "episode", at the reset that follows it (which needs `carry`)."""
     episode: float = real(10.0, 1e-3, 1e9, "s")
@@ -98,16 +98,16 @@ class Adaptation(Parameters):
             raise self._refused("carry", 'the mode "episode" changes strengths at the reset, and needs it')
 
     @property
-    def most(self) -> float:
+    def max_strength(self) -> float:
         """Largest strength there can be."""
         return self.cap if self.strain_gain > 0.0 or self.force_gain > 0.0 else 1.0
 
-    def untrained(self, shape: int | tuple[int, ...]) -> Strength:
+    def initial(self, shape: int | tuple[int, ...]) -> Strength:
         """Strength of fresh, untrained muscles: their number, or (..., n_muscle)."""
-        grown = np.ones(shape)
-        return Strength(grown, grown.copy(), 0.0 * grown, 0.0 * grown, np.zeros(grown.shape[:-1]))
+        growth = np.ones(shape)
+        return Strength(growth, growth.copy(), 0.0 * growth, 0.0 * growth, np.zeros(growth.shape[:-1]))
 
-    def used(
+    def advance(
         self,
         strength: Strength,
         activation: npt.ArrayLike,
@@ -131,7 +131,7 @@ class Adaptation(Parameters):
         ValueError
             A use of another shape, or out of bounds.
         """
-        shape = strength.grown.shape
+        shape = strength.growth.shape
         active = array("activation", activation, shape, 0.0, 1.0)
         load = array("tension", tension, shape, 0.0, unit="N")
         strained = np.abs(array("strain", strain, shape))
@@ -140,21 +140,23 @@ class Adaptation(Parameters):
         goal = np.where(rate > 0.0, self.recovery_rate / np.where(rate > 0.0, rate, 1.0), strength.fresh)
         fresh = goal + (strength.fresh - goal) * np.exp(-rate * time)
         if self.mode == "episode":
-            sums = strength.strained + time * strained, strength.loaded + time * load
-            return Strength(strength.grown, fresh, *sums, strength.time + time)
-        return replace(strength, grown=self._grown(strength.grown, strained, load, time / self.episode), fresh=fresh)
+            sums = strength.strain_integral + time * strained, strength.tension_integral + time * load
+            return Strength(strength.growth, fresh, *sums, strength.time + time)
+        return replace(strength, growth=self._grow(strength.growth, strained, load, time / self.episode), fresh=fresh)
 
-    def begun(self, strength: Strength) -> Strength:
+    def at_reset(self, strength: Strength) -> Strength:
         """Strength with which the next episode begins, of one worm."""
-        n_muscle = len(strength.grown)
+        n_muscle = len(strength.growth)
         if not self.carry:
-            return self.untrained(n_muscle)
+            return self.initial(n_muscle)
         if strength.time == 0.0:
             return strength
-        grown = self._grown(strength.grown, strength.strained / strength.time, strength.loaded / strength.time, 1.0)
-        return replace(self.untrained(n_muscle), grown=grown, fresh=strength.fresh)
+        growth = self._grow(
+            strength.growth, strength.strain_integral / strength.time, strength.tension_integral / strength.time, 1.0
+        )
+        return replace(self.initial(n_muscle), growth=growth, fresh=strength.fresh)
 
-    def _grown(self, grown: FloatArray, strain: FloatArray, tension: FloatArray, episodes: float) -> FloatArray:
+    def _grow(self, growth: FloatArray, strain: FloatArray, tension: FloatArray, episodes: float) -> FloatArray:
         with np.errstate(over="ignore"):  # What overflows is capped.
             alpha = 1.0 + self.strain_gain * strain + self.force_gain * tension
-            return np.minimum(grown * alpha**episodes, self.cap)
+            return np.minimum(growth * alpha**episodes, self.cap)

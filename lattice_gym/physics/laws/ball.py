@@ -1,7 +1,7 @@
 """A rigid ball that pushes at rods.
 
-Where it overlaps an element, a cylinder of its rest radius r with round ends, by a depth d, with u the velocity of its
-material at the nearest point of the centre line over that of the line there, it pushes along the normal with
+An element is a cylinder of its rest radius with round ends. Let d be the depth to which the ball overlaps it, and u the
+velocity of the ball's material relative to the centre line at the nearest point of that line. The normal force is
 
     N = max(0, stiffness d - damping u_n)
 
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from lattice_gym.physics.state import RodState
 
 N_CENTRES = 256
-"""Elements, at most, at whose middles it is looked how much a ball touches from there."""
+"""Largest number of elements at whose middles the ball is placed to count what it touches there."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bolus(Parameters):
+class Ball(Parameters):
     """A rigid ball inside the lattice, whose muscles must then be rods: lines touch nothing.
 
     A medium carries its share of the ball's weight, but neither the medium's drag nor the ground acts on it.
@@ -54,7 +54,7 @@ class Bolus(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Ball(Parameters):
+class RigidBall(Parameters):
     """Rigid uniform ball that pushes at elements of rods, with friction.
 
     Its forces act on the centre lines, the opposite ones and their moments on the ball, so that momentum and angular
@@ -79,7 +79,9 @@ class Ball(Parameters):
     def __post_init__(self) -> None:
         super().__post_init__()
         sound = self.inertia > 0.0 and math.isfinite(self.inertia) and math.isfinite(1.0 / self.inertia)
-        require(sound, "Ball.radius, mass: inertia leaves the range of numbers; they are far too large or too small")
+        require(
+            sound, "RigidBall.radius, mass: inertia leaves the range of numbers; they are far too large or too small"
+        )
 
     @property
     def inertia(self) -> float:
@@ -90,39 +92,39 @@ class Ball(Parameters):
 class BallLaw(Law):
     """Of the ball, if there is one."""
 
-    fields: ClassVar = {"bolus": one_or_none(Ball)}
+    fields: ClassVar = {"ball": one_or_none(RigidBall)}
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
         """There is a ball."""
-        return model.bolus is not None
+        return model.ball is not None
 
     @cached_property
-    def _ball(self) -> Ball:
-        assert self.model.bolus is not None
-        return self.model.bolus
+    def _ball(self) -> RigidBall:
+        assert self.model.ball is not None
+        return self.model.ball
 
     def _gaps(self, state: RodState) -> tuple[FloatArray, FloatArray]:
         """Ways to the centre from the nearest points of all elements [m], shape (n_elem, 3), and their shares."""
         low = self.model.lower_node
         start = state.position[low]
-        side, centre = state.position[low + 1] - start, state.bolus_position - start
+        side, centre = state.position[low + 1] - start, state.ball_position - start
         share = np.clip(np.sum(centre * side, axis=1) / np.sum(side**2, axis=1), 0.0, 1.0)
         return centre - share[:, None] * side, share
 
     def energy(self, state: RodState) -> Mapping[str, FloatArray]:
         """Kinetic energy of the ball, shape (1,), and of the spring between it and every element, shape (n_elem,)."""
         ball, (gap, _) = self._ball, self._gaps(state)
-        square = [np.sum(moving**2, axis=1) for moving in (state.bolus_velocity, state.bolus_omega)]
+        square = [np.sum(moving**2, axis=1) for moving in (state.ball_velocity, state.ball_omega)]
         depth = np.maximum(ball.radius + self.model.element_radius - np.linalg.norm(gap, axis=1), 0.0)
         return {
-            "bolus": 0.5 * ball.mass * square[0] + 0.5 * ball.inertia * square[1],
-            "bolus_contact": 0.5 * ball.stiffness * depth**2,
+            "ball": 0.5 * ball.mass * square[0] + 0.5 * ball.inertia * square[1],
+            "ball_contact": 0.5 * ball.stiffness * depth**2,
         }
 
     def work(self, before: RodState, after: RodState) -> float:
         """Of its constant force [J]."""
-        return float((after.bolus_position - before.bolus_position)[0] @ self._ball.force)
+        return float((after.ball_position - before.ball_position)[0] @ self._ball.force)
 
     def linearised(self, shortened: Shortened) -> Linearised:
         """Springs and dashpots of all that it may touch."""
@@ -139,7 +141,7 @@ class BallLaw(Law):
         gap, share = self._gaps(state)
         distance, bears = np.linalg.norm(gap, axis=1), np.stack([1.0 - share, share])
         normal = gap / distance[:, None]
-        own = state.bolus_velocity - np.cross(state.bolus_omega, gap)
+        own = state.ball_velocity - np.cross(state.ball_omega, gap)
         line = bears[0, :, None] * state.velocity[low] + bears[1, :, None] * state.velocity[low + 1]
         depth = ball.radius + self.model.element_radius - distance
         push = np.maximum(ball.stiffness * depth - ball.damping * np.sum((own - line) * normal, axis=1), 0.0)
@@ -169,11 +171,11 @@ class _BallSprings:
     coupled = True
 
     @classmethod
-    def of(cls, model: RodModel, ball: Ball, size: float) -> _BallSprings:
-        on_ball, on_node = _most_touched(model, ball), np.full(model.n_node, 2.0)
+    def of(cls, model: RodModel, ball: RigidBall, size: float) -> _BallSprings:
+        on_ball, on_node = _max_touching(model, ball), np.full(model.n_node, 2.0)
         on_node[model.node_offset[:-1]] = on_node[model.node_offset[1:] - 1] = 1.0
         free = np.ones(model.n_node, dtype=np.bool_)
-        free[model.held_nodes[0]] = False
+        free[model.clamped_nodes[0]] = False
         given, taken = (on_node / model.node_mass)[free].max(initial=0.0), on_ball / ball.mass
         on_node *= (given + taken) / given if given > 0.0 else 1.0
         return cls(size, on_node, on_ball * ((given + taken) / taken if taken > 0.0 else 1.0))
@@ -184,8 +186,8 @@ class _BallSprings:
         against.ball[:] += self.size * self.on_ball * moved.ball
 
 
-def _most_touched(model: RodModel, ball: Ball) -> float:
-    """Elements that a ball touches at once, at most: those within its reach at rest, wherever its centre is on a rod.
+def _max_touching(model: RodModel, ball: RigidBall) -> float:
+    """Largest number of elements that a ball touches at once: those at rest, wherever its centre is on a rod.
 
     An assumption, no bound: elements come closer to each other where rods are squeezed.
     """
@@ -196,6 +198,6 @@ def _most_touched(model: RodModel, ball: Ball) -> float:
     most = 0
     for centre in [ball.position, *(start + 0.5 * side)[:: math.ceil(model.n_elem / N_CENTRES)]]:
         gap = centre - start
-        far = np.clip(np.sum(gap * side, axis=1) / square, 0.0, 1.0)
-        most = max(most, int(np.sum(np.sum((gap - far[:, None] * side) ** 2, axis=1) < touching**2)))
+        share = np.clip(np.sum(gap * side, axis=1) / square, 0.0, 1.0)
+        most = max(most, int(np.sum(np.sum((gap - share[:, None] * side) ** 2, axis=1) < touching**2)))
     return float(most)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
     from lattice_gym.physics.state import RodState
 
-Take = Callable[[str, object], object]
+Converter = Callable[[str, object], object]
 """Turns what was given for a field of that name into what the model holds, or raises ValueError."""
 
 
@@ -34,22 +34,22 @@ class Generalised(NamedTuple):
     element: FloatArray
     """Turns [rad] or couples [N m] in the material frame, shape (n_elem, 3)."""
     ball: FloatArray
-    """Displacements [m] or forces [N] in the laboratory frame, shape (n_bolus, 3)."""
+    """Displacements [m] or forces [N] in the laboratory frame, shape (n_ball, 3)."""
 
     @classmethod
     def split(cls, model: RodModel, values: FloatArray) -> Self:
-        """View a vector of shape (3 n_node + 3 n_elem + 3 n_bolus,)."""
+        """View a vector of shape (3 n_node + 3 n_elem + 3 n_ball,)."""
         rows, n_rod = values.reshape(-1, 3), model.n_node + model.n_elem
         return cls(rows[: model.n_node], rows[model.n_node : n_rod], rows[n_rod:])
 
     @classmethod
     def zeros(cls, model: RodModel) -> Self:
         """Nothing moves, nothing acts."""
-        return cls.split(model, np.zeros(3 * (model.n_node + model.n_elem + model.n_bolus)))
+        return cls.split(model, np.zeros(3 * (model.n_node + model.n_elem + model.n_ball)))
 
 
 class Shortened(NamedTuple):
-    """How far muscles shorten what they pull at, see `muscles.contraction`."""
+    """Largest shortening of rods and lines by muscles, see `muscles.contraction`."""
 
     rod: FloatArray
     """Length over rest length of every rod, shape (n_rod,)."""
@@ -62,7 +62,7 @@ class Shortened(NamedTuple):
 
 
 class Operator(Protocol):
-    """Springs (dashpots) around rest: a symmetric map from displacements (velocities) to the forces against them."""
+    """Springs (dashpots) around rest: a symmetric map from displacements (velocities) to the opposing forces."""
 
     coupled: bool
     """Whether it acts on more than nodes."""
@@ -72,7 +72,7 @@ class Operator(Protocol):
 
 
 @dataclass(frozen=True)
-class Ties:
+class PairSprings:
     """Springs between two nodes each: their rows, shape (n_tie,), and a matrix [N/m], shape (n_tie, 3, 3)."""
 
     first: IntArray
@@ -90,7 +90,7 @@ class Ties:
 
 
 @dataclass(frozen=True)
-class Floor:
+class NodeSprings:
     """Springs that hold every node to its place [N/m]: one number for each component, or for each node and it."""
 
     stiffness: FloatArray
@@ -102,7 +102,7 @@ class Floor:
 
 
 class Linearised(NamedTuple):
-    """What a law adds to the problem of the critical time step, see `stable_step`."""
+    """What a law adds to the problem of the critical time step, see `critical_step`."""
 
     springs: Sequence[Operator] = ()
     """Forces by displacement [N/m]."""
@@ -113,10 +113,10 @@ class Linearised(NamedTuple):
 class Law(ABC):
     """A law that a model obeys."""
 
-    fields: ClassVar[Mapping[str, Take]] = {}
+    fields: ClassVar[Mapping[str, Converter]] = {}
     """Fields of `RodModel` that are this law's own, and how what is given for them is taken."""
     gauge: ClassVar[bool] = False
-    """Whether its energy counts from a zero that can be chosen at will."""
+    """Whether the zero of its energy is arbitrary."""
 
     def __init__(self, model: RodModel) -> None:
         self.model = model
@@ -149,12 +149,12 @@ class Law(ABC):
         """
 
 
-def tuple_of(kind: type) -> Take:
+def tuple_of(kind: type) -> Converter:
     """Take a sequence of one kind of part."""
     return partial(items, each=partial(instance, kind=kind), what=kind.__name__)
 
 
-def one_or_none(kind: type) -> Take:
+def one_or_none(kind: type) -> Converter:
     """Take one object, or None."""
     return partial(optional, partial(instance, kind=kind))
 

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from lattice_gym.checks import FloatArray, IntArray, Parameters, real
-from lattice_gym.physics.laws.base import Floor, Generalised, Law, Linearised, Shortened, one_or_none
+from lattice_gym.physics.laws.base import Generalised, Law, Linearised, NodeSprings, Shortened, one_or_none
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
@@ -41,23 +41,23 @@ each other: the nearest points are lost in rounding there. Depths jump by that s
 them, so that the bound has to be this small."""
 
 MARGIN = 0.61
-"""How much further apart than their radii elements of joined rods must be at rest to touch at all, over the radii.
+"""Elements of joined rods have contact only if at rest they are further apart than 1 + MARGIN times their radii.
 
-Nearer than that they belong to a crossing, where contact is switched off: it must close until rods come 1.61 times as
-near before they touch. At a margin of 0 the first elements beyond a crossing touch as soon as it closes by any angle,
-and how much that stiffens it is a matter of the mesh. As whole elements are left out, the mesh still shows where rods
-press each other: by where beyond a crossing the first element begins. No round number: elements often lie at simple
-multiples of a radius, and rounding would then decide which of them touch.
+Nearer ones belong to the crossing, where contact is off; rods come 1.61 times nearer there before they touch. Without a
+margin the first elements beyond a crossing would touch as soon as it closes by any angle, and how much that stiffens it
+would depend on the mesh. Whole elements are left out, so the mesh still decides where beyond a crossing contact begins.
+It is no round number, as elements often lie at simple multiples of a radius, and rounding would decide which of them
+touch.
 """
 
-DEEPEST = 0.1
-"""Depth over the contact distance to which rods are taken to press into each other. An assumption, no bound."""
+MAX_DEPTH = 0.1
+"""Largest depth over the contact distance that the critical time step allows for. An assumption, not a bound."""
 
 _ROUNDING = 1e-9
 """Depth of overlap over the radii that counts as none at rest."""
 
 _AT_A_TIME = 100_000
-"""Pairs that are tried together: some tens of megabytes."""
+"""Pairs that are tested at once, which takes some tens of megabytes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,8 +113,10 @@ class ContactLaw(Law):
 
     def linearised(self, shortened: Shortened) -> Linearised:
         """As if every node were touched by other rods on both sides."""
-        crowded, law = _crowded(self.model, shortened.rod), self._contact
-        return Linearised([Floor(law.stiffness * crowded)], [Floor(law.damping * crowded)] if law.damping > 0.0 else [])
+        contacts, law = _contact_bound(self.model, shortened.rod), self._contact
+        return Linearised(
+            [NodeSprings(law.stiffness * contacts)], [NodeSprings(law.damping * contacts)] if law.damping > 0.0 else []
+        )
 
     def force(self, state: RodState, tension: FloatArray) -> Generalised:
         """Push pairs apart."""
@@ -187,14 +189,14 @@ def depths(model: RodModel, position: FloatArray, pairs: IntArray) -> FloatArray
     i, j = pairs.T
     s, t = nearest(start[i], side[i], start[j], side[j])
     distance = np.linalg.norm(start[i] + s[:, None] * side[i] - start[j] - t[:, None] * side[j], axis=1)
-    depth: FloatArray = reaches(model, pairs) - distance
+    depth: FloatArray = contact_distances(model, pairs) - distance
     return depth
 
 
-def reaches(model: RodModel, pairs: IntArray) -> FloatArray:
-    """Radii of each pair of elements together [m], shape (n_pair,)."""
-    reach: FloatArray = model.element_radius[pairs].sum(axis=1)
-    return reach
+def contact_distances(model: RodModel, pairs: IntArray) -> FloatArray:
+    """Contact distance of each pair of elements, the sum of their radii [m], shape (n_pair,)."""
+    distance: FloatArray = model.element_radius[pairs].sum(axis=1)
+    return distance
 
 
 def overlapping(model: RodModel, position: FloatArray, margin: float = 0.0) -> IntArray:
@@ -208,8 +210,8 @@ def overlapping(model: RodModel, position: FloatArray, margin: float = 0.0) -> I
     middle = 0.5 * (position[lower] + position[lower + 1])
     if not np.isfinite(middle).all() or len(element) == 0:
         return np.zeros((0, 2), np.int64)
-    reach = (1.0 + margin) * model.element_radius[element]
-    size = 0.5 * np.linalg.norm(position[lower + 1] - position[lower], axis=1) + reach
+    radius = (1.0 + margin) * model.element_radius[element]
+    size = 0.5 * np.linalg.norm(position[lower + 1] - position[lower], axis=1) + radius
     along = middle[:, np.argmax(np.ptp(middle, axis=0))]
     order = np.argsort(along)
     last = np.searchsorted(along[order], along[order] + 2.0 * size.max(), side="right")
@@ -223,7 +225,7 @@ def overlapping(model: RodModel, position: FloatArray, margin: float = 0.0) -> I
         near &= rod[element[a]] != rod[element[b]]
         a, b = a[near], b[near]
         pairs = np.sort(np.stack([element[a], element[b]], axis=1), axis=1)
-        found.append(pairs[depths(model, position, pairs) > -margin * reaches(model, pairs)])
+        found.append(pairs[depths(model, position, pairs) > -margin * contact_distances(model, pairs)])
     every: IntArray = np.concatenate(found)
     return every[np.lexsort((every[:, 1], every[:, 0]))]
 
@@ -239,16 +241,16 @@ def excluded(model: RodModel) -> IntArray:
     joints = np.array([[joint.rod_a, joint.rod_b] for joint in model.joints], np.int64).reshape(-1, 2)
     number = [model.n_rod, 1]
     joined = np.isin(np.sort(rod[near], axis=1) @ number, np.sort(joints, axis=1) @ number)
-    never: IntArray = near[joined | (depths(model, position, near) > _ROUNDING * reaches(model, near))]
+    never: IntArray = near[joined | (depths(model, position, near) > _ROUNDING * contact_distances(model, near))]
     return never
 
 
-def _crowded(model: RodModel, shortened: FloatArray) -> FloatArray:
+def _contact_bound(model: RodModel, shortened: FloatArray) -> FloatArray:
     """Contacts that every node of a rod but a muscle is taken to bear, shape (n_node, 1).
 
     A contact between the places p and q bears no more than 2 p^2 + 2 q^2, by the lever rule two springs of its
     stiffness at either node. A node is touched on two sides, an assumption, as rods may lie closer: by nodes, both its
-    elements by two each. Two terms more count where elements are short, rods being pressed together by `DEEPEST`.
+    elements by two each. Two terms more count where elements are short, rods being pressed together by `MAX_DEPTH`.
     Each element that begins on the length over which they overlap adds two contacts; as that has few itself, or where
     rods run along each other half of them at other nodes, weights other than 2 count it as one. And as an element
     tilts, the place where it is pushed at moves: a force F at a distance d bears tilts by F d over its length squared,
@@ -261,9 +263,9 @@ def _crowded(model: RodModel, shortened: FloatArray) -> FloatArray:
         return contacts[:, None]
     distance = 2.0 * max(float(model.rods[rod].radius.max()) for rod in solid)
     stubby = distance / min(float(shortened[rod] * model.rods[rod].rest_length.min()) for rod in solid)
-    overlap = 2.0 * math.sqrt(1.0 - (1.0 - DEEPEST) ** 2)
+    overlap = 2.0 * math.sqrt(1.0 - (1.0 - MAX_DEPTH) ** 2)
     sides, springs = 2.0, 2.0
-    touching = 2.0 + 0.5 * math.floor(overlap * stubby) + 2.0 * DEEPEST * (1.0 - DEEPEST) * stubby**2
+    touching = 2.0 + 0.5 * math.floor(overlap * stubby) + 2.0 * MAX_DEPTH * (1.0 - MAX_DEPTH) * stubby**2
     for rod in solid:
         contacts[model.nodes(rod)] = 2.0
     contacts[model.node_offset[:-1]] *= 0.5

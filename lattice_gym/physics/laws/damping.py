@@ -40,9 +40,9 @@ def damping_shares(decay: FloatArray, splitting: Splitting) -> tuple[FloatArray,
 
 
 def coefficients(model: RodModel) -> FloatArray:
-    """Damping of every component of what moves [N s/m, N m s], shape (3 n_node + 3 n_elem + 3 n_bolus,)."""
+    """Damping of every component of what moves [N s/m, N m s], shape (3 n_node + 3 n_elem + 3 n_ball,)."""
     spin = np.repeat([rod.rotational_damping for rod in model.rods], [rod.n_elem for rod in model.rods])
-    return np.repeat(np.concatenate([model.node_damping, spin, np.zeros(model.n_bolus)]), 3)
+    return np.repeat(np.concatenate([model.node_damping, spin, np.zeros(model.n_ball)]), 3)
 
 
 class DampingLaw(Law):
@@ -60,4 +60,4 @@ class DampingLaw(Law):
     def force(self, state: RodState, tension: FloatArray) -> Generalised:
         """Against velocities and spins."""
         c = Generalised.split(self.model, coefficients(self.model))
-        return Generalised(-c.node * state.velocity, -c.element * state.omega, -c.ball * state.bolus_velocity)
+        return Generalised(-c.node * state.velocity, -c.element * state.omega, -c.ball * state.ball_velocity)

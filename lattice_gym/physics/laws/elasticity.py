@@ -66,19 +66,23 @@ class ElasticityLaw(Law):
     @cached_property
     def _stiffness(self) -> FloatArray:
         """Diagonals of S [N], shape (n_elem, 3)."""
-        shear, stretch = (self.model.of_rods(f"{name}_stiffness") for name in ("shear", "stretch"))
+        shear, stretch = (self.model.rod_array(f"{name}_stiffness") for name in ("shear", "stretch"))
         return np.stack([shear, shear, stretch], axis=1)
 
     @cached_property
     def _rigidity(self) -> FloatArray:
         """Diagonals of B [N m^2], shape (n_elem - n_rod, 3)."""
-        bend, twist = (self.model.of_rods(f"{name}_stiffness") for name in ("bend", "twist"))
+        bend, twist = (self.model.rod_array(f"{name}_stiffness") for name in ("bend", "twist"))
         return np.stack([bend, bend, twist], axis=1)
 
     @cached_property
     def _rest(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Lengths of elements and Voronoi regions [m], and curvatures [1/m], at rest."""
-        return self.model.of_rods("rest_length"), self.model.of_rods("rest_voronoi"), self.model.of_rods("rest_kappa")
+        return (
+            self.model.rod_array("rest_length"),
+            self.model.rod_array("rest_voronoi"),
+            self.model.rod_array("rest_kappa"),
+        )
 
     def energy(self, state: RodState) -> Mapping[str, FloatArray]:
         """Of stretch and shear in every element, shape (n_elem,), bending and twist in every region."""
@@ -120,7 +124,7 @@ class ElasticityLaw(Law):
         turning = 0.5 * voronoi[:, None] * np.cross(kappa, couple)
         np.add.at(force.element, left, couple + turning)
         np.add.at(force.element, left + 1, turning - couple)
-        momentum = self.model.of_rods("inertia")[:, None] * [1.0, 1.0, 2.0] * spin / e
+        momentum = self.model.rod_array("inertia")[:, None] * [1.0, 1.0, 2.0] * spin / e
         force.element[:] += rest[:, None] * np.cross(tangent, stress) + np.cross(momentum, spin) + momentum * rate / e
         return force
 
@@ -154,7 +158,9 @@ class _RodSprings:
         e = np.repeat(shortened.rod, n_elem)
         pull = np.zeros(model.n_rod)
         pull[list(model.muscles)] = shortened.peak
-        rest, shear, stretch = (model.of_rods(name) for name in ("rest_length", "shear_stiffness", "stretch_stiffness"))
+        rest, shear, stretch = (
+            model.rod_array(name) for name in ("rest_length", "shear_stiffness", "stretch_stiffness")
+        )
         # An element under axial force N turns against G A - N.
         cross = shear + stretch * (1.0 - e) / e
         across = (shear + np.repeat(pull, n_elem)) / (rest * e)
@@ -169,7 +175,7 @@ class _RodSprings:
         return cls(
             low=model.lower_node,
             left=model.left_element,
-            frame=model.of_rods("directors"),
+            frame=model.rod_array("directors"),
             stretch=np.stack([across, across, stretch / (rest * e**2)], axis=1),
             across=cross,
             turn=rest * e * cross,

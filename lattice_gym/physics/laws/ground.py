@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from lattice_gym.checks import FloatArray, Parameters, real, require
-from lattice_gym.physics.laws.base import Floor, Generalised, Law, Linearised, Shortened, one_or_none
+from lattice_gym.physics.laws.base import Generalised, Law, Linearised, NodeSprings, Shortened, one_or_none
 from lattice_gym.physics.rod import FRAME_TOLERANCE
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 class Ground(Parameters):
     """The plane z = 0, with normal contact and Coulomb friction; the defaults bear the default worm in water.
 
-    It then rests at a depth of at most 5 % of a rod's radius, and the ground shortens the stable step by under 1 %.
+    It then rests at a depth of at most 5 % of a rod's radius, and the ground shortens the critical step by under 1 %.
     Forward, backward and sideways are those of the body as it lies at the moment, whose axis `RodModel.rod_ends` tells.
     With d the direction of a node's slip in the plane and e the unit vector of that axis, the coefficients have the
     factor sqrt((f d.e)^2 + sideways^2 (1 - (d.e)^2)), where f is `forward` for d.e > 0 and else `backward`. So the axis
@@ -70,7 +70,7 @@ class Ground(Parameters):
         f = np.where(along > 0.0, self.forward, self.backward)
         return np.sqrt((f * along) ** 2 + self.sideways**2 * (1.0 - along**2))
 
-    def slowed(self, slip: FloatArray, normal: FloatArray, push: FloatArray, axis: FloatArray) -> FloatArray:
+    def apply_friction(self, slip: FloatArray, normal: FloatArray, push: FloatArray, axis: FloatArray) -> FloatArray:
         """Return the slip that friction leaves.
 
         Parameters
@@ -88,8 +88,8 @@ class Ground(Parameters):
         bound = self.factor(slip, axis) * normal * push
         share = 1.0 - self.kinetic_friction * bound / np.where(speed > 0.0, speed, 1.0)
         sticks = speed <= self.static_friction * bound
-        slowed: FloatArray = np.where(sticks, 0.0, share)[:, None] * slip
-        return slowed
+        remaining: FloatArray = np.where(sticks, 0.0, share)[:, None] * slip
+        return remaining
 
 
 class GroundLaw(Law):
@@ -130,11 +130,12 @@ class GroundLaw(Law):
         """As if it bore every node."""
         upward, ground = np.array([0.0, 0.0, 1.0]), self._ground
         return Linearised(
-            [Floor(ground.stiffness * upward)], [Floor(ground.damping * upward)] if ground.damping > 0.0 else []
+            [NodeSprings(ground.stiffness * upward)],
+            [NodeSprings(ground.damping * upward)] if ground.damping > 0.0 else [],
         )
 
     def force(self, state: RodState, tension: FloatArray) -> Generalised:
-        """Push nodes up; for friction see `Ground.slowed`."""
+        """Push nodes up; for friction see `Ground.apply_friction`."""
         force, ground = Generalised.zeros(self.model), self._ground
         depth = self.model.node_radius - state.position[:, 2]
         normal = np.maximum(ground.stiffness * depth - ground.damping * state.velocity[:, 2], 0.0)

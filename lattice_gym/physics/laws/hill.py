@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from lattice_gym.checks import FloatArray, Parameters, real
-from lattice_gym.physics.laws.base import Generalised, Law, Linearised, Shortened, Ties
+from lattice_gym.physics.laws.base import Generalised, Law, Linearised, PairSprings, Shortened
 from lattice_gym.physics.laws.muscles import Strands
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class Hill(Parameters):
     muscle. A factor whose field is None is 1.
 
     Force-velocity is a damper, taken as it stands before the kick, and the nodes of muscle rods are light: for the
-    default worm `stable_step.stable_dt` is 34 times shorter with these defaults, with muscles as lines 3 times. A
+    default worm `critical_step.critical_dt` is 34 times shorter with these defaults, with muscles as lines 3 times. A
     longer step does not blow up, as the factor is bounded, but muscles chatter.
     """
 
@@ -110,8 +110,8 @@ class HillLaw(Law):
         side = place[strands.second] - place[strands.first]
         along = np.einsum("ni,nj->nij", side, side) / np.sum(side**2, axis=1)[:, None, None]
         unit = shortened.tension / strands.rest_length[:, None, None] * along
-        springs = Ties(strands.first, strands.second, hill.peak * hill.steepest_length * unit)
-        dashpots = Ties(strands.first, strands.second, hill.steepest_speed * unit)
+        springs = PairSprings(strands.first, strands.second, hill.peak * hill.steepest_length * unit)
+        dashpots = PairSprings(strands.first, strands.second, hill.steepest_speed * unit)
         return Linearised([springs], [dashpots] if hill.steepest_speed * shortened.tension > 0.0 else [])
 
     def force(self, state: RodState, tension: FloatArray) -> Generalised:
@@ -121,4 +121,4 @@ class HillLaw(Law):
         apart = state.velocity[strands.second] - state.velocity[strands.first]
         rate = np.sum(apart * direction, axis=1)
         factor = self._hill.factor(length / strands.rest_length, rate / strands.rest_length)
-        return strands.pull(self.model, state, (factor - 1.0) * tension[strands.muscle])
+        return strands.node_forces(self.model, state, (factor - 1.0) * tension[strands.muscle])

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from lattice_gym.checks import REQUIRED, FloatArray, IntArray, Parameters, count, real, require
-from lattice_gym.physics.laws.base import Generalised, Law, Linearised, Shortened, Ties, tuple_of
+from lattice_gym.physics.laws.base import Generalised, Law, Linearised, PairSprings, Shortened, tuple_of
 
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
@@ -75,7 +75,7 @@ class JointLaw(Law):
     def linearised(self, shortened: Shortened) -> Linearised:
         """Springs and dashpots alike in all directions."""
         springs, dashpots = (
-            Ties(*self._ends, size[:, None, None] * np.eye(3)) for size in (self._stiffness, self._damping)
+            PairSprings(*self._ends, size[:, None, None] * np.eye(3)) for size in (self._stiffness, self._damping)
         )
         return Linearised([springs], [dashpots] if self._damping.any() else [])
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from lattice_gym.checks import REQUIRED, FloatArray, IntArray, Parameters, checked, count, number, real, require
-from lattice_gym.physics.laws.base import Generalised, Law, Linearised, Shortened, Ties, tuple_of
+from lattice_gym.physics.laws.base import Generalised, Law, Linearised, PairSprings, Shortened, tuple_of
 from lattice_gym.physics.laws.elasticity import path_share
 from lattice_gym.physics.rod import FRAME_TOLERANCE
 
@@ -50,12 +51,18 @@ class Line(Parameters):
     damping: float = real(0.0, 0.0, math.inf, "N s/m")
     """[N s/m]"""
     density: float = checked(math.inf, _density)
-    """What its mass has for a volume [kg/m^3]: a medium carries nothing of an infinitely dense one."""
+    """[kg/m^3]; an infinite density has no volume, and so no buoyancy."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not math.isfinite(self.stiffness / self.rest_length):
             raise self._refused("rest_length", "far too short for its stiffness [m]")
+
+    def scaled(self, stiffness: float, damping: float) -> Line:
+        """Return the line with factors on its stiffness and damping, which is not checked again."""
+        line = copy(self)
+        vars(line).update(stiffness=stiffness * self.stiffness, damping=damping * self.damping)
+        return line
 
 
 class LineLaw(Law):
@@ -107,7 +114,7 @@ class LineLaw(Law):
         stretch = self._stiffness / (self._rest * shortened.line**2)
         across = shortened.peak / (self._rest * shortened.line)
         matrix = stretch[:, None, None] * along + across[:, None, None] * (np.eye(3) - along)
-        return Linearised([Ties(first, second, matrix)])
+        return Linearised([PairSprings(first, second, matrix)])
 
     def force(self, state: RodState, tension: FloatArray) -> Generalised:
         """Pull the ends of every line together."""

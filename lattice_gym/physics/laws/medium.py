@@ -1,6 +1,6 @@
 """A fluid at rest around an assembly: weight, buoyancy and drag.
 
-Every node has the weight (m - rho V) g, with V the volume that it makes room for. Drag is a damping of nodes, its
+Every node has the weight (m - rho V) g, with V the volume that it displaces. Drag is a damping of nodes, its
 coefficient times the length that a node stands for, and acts with theirs, see `damping`. Stored is the weight times the
 height above rest: a zero chosen at will.
 """

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from lattice_gym.physics.state import RodState
 
 OVERSHOOT = 1.5
-"""Load on what a muscle shortens, over its tension: what is pulled swings past its balance. Chosen so that the muscles
-of an undamped default worm under random commands stay within it."""
+"""Peak load over the tension of a muscle, as what it pulls overshoots the balance. Chosen so that the muscles of an
+undamped default worm under random commands stay within it."""
 
-LEAST_CONTRACTION = 0.5
-"""Length over rest length below which no rod but a muscle is taken to go. An assumption, no bound."""
+MIN_CONTRACTION = 0.5
+"""Smallest length over rest length assumed for rods that are not muscles. An assumption, not a bound."""
 
 
 class Strands(NamedTuple):
@@ -48,7 +48,7 @@ class Strands(NamedTuple):
         return cls(
             np.concatenate([low[elements], first]),
             np.concatenate([low[elements] + 1, second]),
-            np.append(model.of_rods("rest_length")[elements], [line.rest_length for line in model.lines]),
+            np.append(model.rod_array("rest_length")[elements], [line.rest_length for line in model.lines]),
             np.repeat(np.arange(n_rod + len(model.lines)), count),
         )
 
@@ -58,7 +58,7 @@ class Strands(NamedTuple):
         length = np.linalg.norm(side, axis=1)
         return side / length[:, None], length
 
-    def pull(self, model: RodModel, state: RodState, tension: FloatArray) -> Generalised:
+    def node_forces(self, model: RodModel, state: RodState, tension: FloatArray) -> Generalised:
         """Return the forces on nodes of a tension in each strand [N], shape (n_strand,)."""
         force = Generalised.zeros(model)
         pull = tension[:, None] * self.directions(state.position)[0]
@@ -72,7 +72,7 @@ def contraction(model: RodModel, max_tension: float) -> Shortened:
 
     A force F shortens a rod of stiffness E A to E A / (E A + F), for it resists with E A (1 - e) / e. A muscle can do
     that to itself. It may load any other rod with its tension [N], but shorten it no further than itself, and not below
-    `LEAST_CONTRACTION`: rather than that, rods that are not muscles bend.
+    `MIN_CONTRACTION`: rather than that, rods that are not muscles bend.
     """
     peak = max_tension * (1.0 if model.hill is None else model.hill.peak)
     if model.n_muscle == 0:
@@ -85,7 +85,7 @@ def contraction(model: RodModel, max_tension: float) -> Shortened:
     muscle = np.zeros(model.n_rod, dtype=np.bool_)
     muscle[list(model.muscles)] = True
     shortest = float(np.concatenate([rod[muscle], line]).min())
-    least = np.where(muscle, MIN_DILATATION, max(shortest, LEAST_CONTRACTION))
+    least = np.where(muscle, MIN_DILATATION, max(shortest, MIN_CONTRACTION))
     return Shortened(np.maximum(rod, least), np.maximum(line, MIN_DILATATION), max_tension, peak)
 
 
@@ -115,4 +115,4 @@ class MuscleLaw(Law):
 
     def force(self, state: RodState, tension: FloatArray) -> Generalised:
         """Pull the ends of every strand together."""
-        return self._strands.pull(self.model, state, tension[self._strands.muscle])
+        return self._strands.node_forces(self.model, state, tension[self._strands.muscle])

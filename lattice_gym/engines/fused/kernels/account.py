@@ -23,7 +23,7 @@ class Account(NamedTuple):
     (`before`) and per product of both (`mixed`) [kg], the inertia of an element [kg m^2], and of muscles the length [m]
     and the tension that acted [N] at the moment last counted; with components, shape (n_cell, 3, LANES): velocities and
     spins at the step before, and the non-conservative ground reaction on a node, friction and dashpot [N]. `line` and
-    `line_pull` are length and tension of the lines, shape (n_line,).
+    `line_tension` are length and tension of the lines, shape (n_line,).
     """
 
     total: FloatArray
@@ -32,22 +32,22 @@ class Account(NamedTuple):
     mixed: FloatArray
     inertia: FloatArray
     length: FloatArray
-    pull: FloatArray
+    tension: FloatArray
     velocity: FloatArray
     omega: FloatArray
     ground_reaction: FloatArray
     line: FloatArray
-    line_pull: FloatArray
+    line_tension: FloatArray
 
 
 def pack(model: RodModel, node: Places, element: Places, n_cell: int, dt: float, splitting: Splitting) -> Account:
     """Account of one worm, with nothing in it: constants of every node and element by record and lane."""
-    after, before, mixed, inertia, length, pull = np.zeros((6, n_cell, LANES))
+    after, before, mixed, inertia, length, tension = np.zeros((6, n_cell, LANES))
     velocity, omega, reaction = np.zeros((3, n_cell, 3, LANES))
-    line, line_pull = np.zeros((2, len(model.lines)))
+    line, line_tension = np.zeros((2, len(model.lines)))
     after[node], before[node], mixed[node] = loss_factors(model, dt, splitting)
     inertia[element] = np.concatenate([rod.inertia for rod in model.rods])
-    moved = length, pull, velocity, omega, reaction, line, line_pull
+    moved = length, tension, velocity, omega, reaction, line, line_tension
     return Account(np.zeros(3), after, before, mixed, inertia, *moved)
 
 

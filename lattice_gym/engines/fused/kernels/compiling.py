@@ -96,7 +96,7 @@ def compiled(function: Function) -> Function:
 
 def inlined(function: Function) -> Function:
     """Compile as `compiled` into whatever calls it: an array takes more instructions to pass than a lane to compute."""
-    return _compile(function, fastmath={"nsz"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    return _compile(function, fastmath={"nsz"}, forceinline=True)
 
 
 def compiled_strictly(function: Function) -> Function:
@@ -106,4 +106,4 @@ def compiled_strictly(function: Function) -> Function:
 
 def entry(function: Function) -> Function:
     """Compile what Python calls: it lets other threads run meanwhile."""
-    return _compile(function, fastmath={"nsz"}, nogil=True)
+    return _compile(function, nogil=True)

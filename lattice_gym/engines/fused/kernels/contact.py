@@ -21,9 +21,9 @@ _PARALLEL = 1e-12
 """As `laws.contact.PARALLEL`: a kernel reads no other folder, see `compiling`."""
 _FAR_CELL = 1e9
 """Cells of the grid that a coordinate may be away from the origin: what is further has diverged and is not listed."""
-_LEAST_SQUARE = 1e-300
+_MIN_SQUARE = 1e-300
 
-Listed = tuple[IntArray, int]
+PairList = tuple[IntArray, int]
 """Pairs of elements as rows of an array, and how many of its rows are in use."""
 
 
@@ -33,9 +33,9 @@ class Contact(NamedTuple):
     Those that element i never touches are `excluded[row[i] : row[i + 1]]`, all beyond i. Elements nearer than their
     radii and the `skin` [m] are listed, again once a node has moved more than half the skin from where it was then,
     `listed` [m], shape (n, 2, 3), infinite where none is; `ends` are where they are now. An element beyond the length
-    `longest` [m] has diverged and is not listed. `pairs` has the list, `used` how many rows of it there are, shape
-    (1,). Work space of the listing: `grid`, shape (n, 3), `behind`, shape (n,), and `head`, whose size is a power of
-    two.
+    `longest` [m] has diverged and is not listed. `pairs` has the list, `n_listed` how many rows of it there are, shape
+    (1,). Work space of the listing: `grid`, shape (n, 3), `next_in_bucket`, shape (n,), and `head`, whose size is a
+    power of two.
     """
 
     cell: IntArray
@@ -47,10 +47,10 @@ class Contact(NamedTuple):
     listed: FloatArray
     ends: FloatArray
     pairs: IntArray
-    used: IntArray
+    n_listed: IntArray
     grid: IntArray
     head: IntArray
-    behind: IntArray
+    next_in_bucket: IntArray
     stiffness: float
     damping: float
     skin: float
@@ -71,42 +71,42 @@ def pack(model: RodModel, place: Places) -> Contact | None:
         cell=place.cell[element], lane=place.lane[element], rod=rod, radius=radius,
         excluded=excluded[:, 1].copy(), row=np.searchsorted(excluded[:, 0], np.arange(n_elem + 1)),
         listed=np.full((n_elem, 2, 3), np.inf), ends=np.zeros((n_elem, 2, 3)),
-        pairs=np.zeros((_LISTED * n_elem + 1, 2), np.int64), used=np.zeros(1, np.int64),
+        pairs=np.zeros((_LISTED * n_elem + 1, 2), np.int64), n_listed=np.zeros(1, np.int64),
         grid=np.zeros((n_elem, 3), np.int64),
-        head=np.zeros(2 ** (2 * n_elem).bit_length(), np.int64), behind=np.zeros(n_elem, np.int64),
+        head=np.zeros(2 ** (2 * n_elem).bit_length(), np.int64), next_in_bucket=np.zeros(n_elem, np.int64),
         stiffness=contact.stiffness, damping=contact.damping, skin=_SKIN * 2.0 * float(radius.max(initial=0.0)),
         longest=MAX_DILATATION * float(rest[element].max(initial=0.0)),
     )  # fmt: skip
 
 
-def forget(contact: Contact) -> None:
+def clear_list(contact: Contact) -> None:
     """Let the next step list anew: where a run diverged, nothing could tell how far nodes have moved since."""
     contact.listed[:] = np.inf
 
 
 @inlined
-def listed_pairs(contact: Contact | None) -> Listed:
+def listed_pairs(contact: Contact | None) -> PairList:
     """Pairs that the call before has listed."""
     if contact is None:
         return np.empty((0, 2), np.int64), 0
-    return contact.pairs, contact.used[0]
+    return contact.pairs, contact.n_listed[0]
 
 
 @compiled
-def push_rods(cells: Cells, contact: Contact | None, pairs: Listed) -> tuple[Listed, float]:
+def add_contact_forces(cells: Cells, contact: Contact | None, pairs: PairList) -> tuple[PairList, float]:
     """Add the forces of all contacts, with pairs listed anew where nodes have moved too far.
 
     Returns the pairs and the power that the dashpots dissipate [W].
     """
     if contact is None:
         return pairs, 0.0
-    if _find_ends(cells, contact) > 0.25 * contact.skin * contact.skin:
+    if _write_ends(cells, contact) > 0.25 * contact.skin * contact.skin:
         pairs = list_pairs(cells, contact)
-    return pairs, _press(cells, contact, pairs[0], pairs[1])
+    return pairs, _add_normal_forces(cells, contact, pairs[0], pairs[1])
 
 
 @compiled
-def end_contacts(contact: Contact | None, pairs: Listed) -> None:
+def close_list(contact: Contact | None, pairs: PairList) -> None:
     """Forget a list that outgrew its room: it is lost with this call."""
     if contact is None:
         return
@@ -115,7 +115,7 @@ def end_contacts(contact: Contact | None, pairs: Listed) -> None:
 
 
 @compiled
-def _find_ends(cells: Cells, contact: Contact) -> float:
+def _write_ends(cells: Cells, contact: Contact) -> float:
     """Note where the nodes of every element stand; return the largest square of a way gone since they were listed."""
     most, ends, listed = 0.0, contact.ends, contact.listed
     for e in range(contact.cell.shape[0]):
@@ -130,7 +130,7 @@ def _find_ends(cells: Cells, contact: Contact) -> float:
 
 
 @compiled
-def _press(cells: Cells, contact: Contact, pairs: IntArray, count: int) -> float:
+def _add_normal_forces(cells: Cells, contact: Contact, pairs: IntArray, count: int) -> float:
     """Add the push of listed elements where they overlap to their nodes; return the power that it dissipates [W]."""
     lost = 0.0
     for k in range(count):
@@ -139,7 +139,7 @@ def _press(cells: Cells, contact: Contact, pairs: IntArray, count: int) -> float
         distance = contact.radius[one] + contact.radius[two]
         if not square < distance * distance:
             continue
-        inverse = 1.0 / np.sqrt(max(square, _LEAST_SQUARE))
+        inverse = 1.0 / np.sqrt(max(square, _MIN_SQUARE))
         normal = (gx * inverse, gy * inverse, gz * inverse)
         here_a, there_a, j = cells[contact.cell[one]], cells[contact.cell[one] + 1], contact.lane[one]
         here_b, there_b, m = cells[contact.cell[two]], cells[contact.cell[two] + 1], contact.lane[two]
@@ -187,16 +187,22 @@ def nearest(ends: FloatArray, one: int, two: int) -> tuple[float, float, float, 
 
 
 @compiled
-def list_pairs(cells: Cells, contact: Contact) -> Listed:
+def list_pairs(cells: Cells, contact: Contact) -> PairList:
     """List the pairs of elements that may come to touch.
 
     Elements are put into the cells of a grid by their middles; two nearer than their radii and the skin are in cells
     that are neighbours. Where elements stand at all costs no memory: cells share a table. Pairs are in order, so that
     forces add up to the same last bit whenever the list was made.
     """
-    n_elem, listed, grid, head, behind = len(contact.cell), contact.listed, contact.grid, contact.head, contact.behind
+    n_elem, listed, grid, head, next_in_bucket = (
+        len(contact.cell),
+        contact.listed,
+        contact.grid,
+        contact.head,
+        contact.next_in_bucket,
+    )
     rod, radius, skin, excluded, row = contact.rod, contact.radius, contact.skin, contact.excluded, contact.row
-    _find_ends(cells, contact)
+    _write_ends(cells, contact)
     listed[:] = contact.ends
     longest, thickest, bound = 0.0, 0.0, contact.longest * contact.longest
     for e in range(n_elem):
@@ -237,10 +243,10 @@ def list_pairs(cells: Cells, contact: Contact) -> Listed:
                         k -= 1
                     pairs[k, 0], pairs[count, 1] = other, e
                     count += 1
-                other = behind[other]
+                other = next_in_bucket[other]
         bucket = _bucket(x, y, z, head.shape[0])
-        behind[e], head[bucket] = head[bucket], e
-    contact.used[0] = count
+        next_in_bucket[e], head[bucket] = head[bucket], e
+    contact.n_listed[0] = count
     return pairs, count
 
 

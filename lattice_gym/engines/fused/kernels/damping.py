@@ -20,12 +20,12 @@ from lattice_gym.physics.laws.damping import Splitting, damping_shares
 from lattice_gym.physics.rod import Rod
 
 # Of y, (1 - exp(-y)) / y, exact to rounding up to y = 0.25:
-_LARGE_DECAY = 0.25
-_TAIL = series(lambda y: -np.expm1(-y) / y, 8, _LARGE_DECAY)
+LARGE_DECAY = 0.25
+_TAIL = series(lambda y: -np.expm1(-y) / y, 8, LARGE_DECAY)
 # Spin damped to less than this share within a step is too slow to count; the bound keeps 1 / keep^4 finite.
-_LEAST_KEEP = 1e-70
+_MIN_KEEP = 1e-70
 # A rate of damping this large leaves no speed worth counting; without the bound what it left would overflow.
-_LARGEST_RATE = 300.0
+_MAX_RATE = 300.0
 
 
 def node_decay(model: RodModel, dt: float) -> FloatArray:
@@ -38,7 +38,7 @@ def fill_nodes(cells: Cells, node: Places, model: RodModel, dt: float, splitting
     """Write what a unit of force adds to the velocity of each node of a worm, and what it keeps of its own."""
     before, after = damping_shares(node_decay(model, dt), splitting)
     cells["keep"][node] = before * after
-    cells["push"][node] = dt / model.node_mass * after
+    cells["kick"][node] = dt / model.node_mass * after
 
 
 def fill_spins(cells: Cells, lane: int, rod: Rod, dt: float) -> None:
@@ -49,13 +49,13 @@ def fill_spins(cells: Cells, lane: int, rod: Rod, dt: float) -> None:
 def loss_factors(model: RodModel, dt: float, splitting: Splitting) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Energy that damping takes from a node: per square of its speed after the kick, before it, and per product [kg].
 
-    Each of shape (n_node,). A damper that leaves the shares a and b of a velocity before and after the kick
-    (`damping_shares`) takes what a force f does so, f (u + u') dt / 2 with u' = a b u + b f dt / m, and u' does not
-    show: m / 2 [(1/b - 1) u'^2 + (1 - a) u^2 + (1/b - a) u u'].
+    Each of shape (n_node,). With the shares a and b of a velocity that damping leaves before and after the kick
+    (`damping_shares`), a force f turns the velocity u into u' = a b u + b f dt / m and does the work f (u + u') dt / 2.
+    What of it is not in the kinetic energy is m / 2 [(1/b - 1) u'^2 + (1 - a) u^2 + (1/b - a) u u'].
     """
     rate = node_decay(model, dt)
     if splitting != "symmetric":
-        rate = np.minimum(rate, _LARGEST_RATE)
+        rate = np.minimum(rate, _MAX_RATE)
     before, after = damping_shares(rate, splitting)
     half = 0.5 * model.node_mass
     return half * (1.0 / after - 1.0), half * (1.0 - before), half * (1.0 / after - before)
@@ -70,18 +70,12 @@ def spin_tail(y: float) -> float:
     return float(fma(y2 * y2, fma(y2 * y2, _TAIL[8], high), low))
 
 
-@inlined
-def is_large_decay(y: float) -> bool:
-    """Whether the series of `spin_tail` does not reach a decay."""
-    return y > _LARGE_DECAY
-
-
 @compiled_strictly
 def large_decay(here: Any, work: Any, symmetric: float | None) -> None:
     """Write what damping leaves of the spin of element e where the series does not reach."""
     for j in range(LANES):
         y = here.spin_decay[j] * work.length[j]
-        if y > _LARGE_DECAY:
+        if y > LARGE_DECAY:
             work.spin_keep[j] = np.exp(-y)
             if symmetric is not None:
                 work.spin_late[j] = (1.0 - np.exp(-y)) / y
@@ -94,7 +88,7 @@ def spin_loss(here: Any, work: Any, early: FloatArray, inertia: FloatArray, symm
     lost = 0.0
     for i in range(3):
         for j in range(LANES):
-            left = max(keep[j], _LEAST_KEEP)
+            left = max(keep[j], _MIN_KEEP)
             if symmetric is not None:
                 after = late[j] if i == 2 else 0.5 * (1.0 + keep[j]) * late[j]
                 before = (keep[j] if i == 2 else keep[j] * keep[j]) / after

@@ -1,4 +1,4 @@
-"""The plane z = 0: normal contact with a spring and a dashpot, Coulomb friction; see `physics.world.Ground`."""
+"""The plane z = 0: normal contact with a spring and a dashpot, Coulomb friction; see `physics.laws.ground.Ground`."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ def fill_spare(cells: Cells, first_lane: int) -> None:
 
 
 @inlined
-def find_axis(cells: Cells, ground: Ground | None) -> None:
+def write_axis(cells: Cells, ground: Ground | None) -> None:
     """Write the body axis as its nodes stand, where friction depends on it."""
     if ground is not None:
-        _find_axis(cells, ground.axis)
+        _write_axis(cells, ground.axis)
 
 
 @compiled
-def _find_axis(cells: Cells, axis: Axis | None) -> None:
+def _write_axis(cells: Cells, axis: Axis | None) -> None:
     if axis is not None:
         square = 0.0
         for i in range(3):
@@ -88,7 +88,7 @@ def _find_axis(cells: Cells, axis: Axis | None) -> None:
 
 @inlined
 def _weighted_slip(u0: float, u1: float, ground: Ground, axis: Axis | None) -> float:
-    """Speed of a slip times the factor that friction has in its direction, see `world.Ground`."""
+    """Speed of a slip times the factor that friction has in its direction, see `physics.laws.ground.Ground`."""
     a, b = u0, u1
     if axis is not None:
         e = axis.along
@@ -110,20 +110,20 @@ def kick_on_ground(here: Any, ground: Ground, account: Account | None, n: int) -
     adds energy. The reaction is noted for the account, not yet its work: the ball's friction may change the velocity
     again.
     """
-    x, v, force, push, keep, height = here.x, here.v, here.force, here.push, here.keep, here.height
+    x, v, force, kick, keep, height = here.x, here.v, here.force, here.kick, here.keep, here.height
     for j in range(LANES):
         depth = height[j] - x[2, j]
         spring = ground.stiffness * depth
         normal = spring - ground.damping * v[2, j]
         normal = normal if depth > 0.0 and normal > 0.0 else 0.0
-        u0 = v[0, j] * keep[j] + force[0, j] * push[j]
-        u1 = v[1, j] * keep[j] + force[1, j] * push[j]
-        u2 = v[2, j] * keep[j] + (force[2, j] + normal) * push[j]
+        u0 = v[0, j] * keep[j] + force[0, j] * kick[j]
+        u1 = v[1, j] * keep[j] + force[1, j] * kick[j]
+        u2 = v[2, j] * keep[j] + (force[2, j] + normal) * kick[j]
         slip = u0 * u0 + u1 * u1
-        grip = _weighted_slip(u0, u1, ground, ground.axis) * normal * push[j]
+        grip = _weighted_slip(u0, u1, ground, ground.axis) * normal * kick[j]
         left = 1.0 - ground.kinetic_friction * grip / slip if slip > ground.static_friction * grip else 0.0
         if account is not None:
-            share = (left - 1.0) / push[j] if push[j] > 0.0 else 0.0
+            share = (left - 1.0) / kick[j] if kick[j] > 0.0 else 0.0
             account.ground_reaction[n, 0, j], account.ground_reaction[n, 1, j] = share * u0, share * u1
             account.ground_reaction[n, 2, j] = normal - (spring if depth > 0.0 else 0.0)
         v[0, j], v[1, j], v[2, j] = left * u0, left * u1, u2

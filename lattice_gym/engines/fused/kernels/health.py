@@ -14,7 +14,7 @@ from lattice_gym.engines.fused.kernels.layout import LANES, Cells
 from lattice_gym.engines.fused.kernels.lines import Lines
 
 
-class Worms(NamedTuple):
+class WormTable(NamedTuple):
     """Whose records are whose: record and lane of every node and element of each worm, and how it ended a call.
 
     Shapes (n_worm, n_node) and (n_worm, n_elem). `max_gap` is the gap beyond which each joint counts as torn [m], shape
@@ -38,36 +38,9 @@ class Worms(NamedTuple):
 
 
 @compiled_strictly
-def inspect(
-    cells: Cells,
-    passive: IntArray,
-    active: IntArray,
-    worms: Worms,
-    joints: Joints,
-    lines: Lines | None,
-    ball: Ball | None,
-) -> None:
-    """Write the status of each worm, and where the nodes of the sound ones are."""
-    sound = True
-    for blocks in (passive, active):
-        sound = sound and _is_sound(cells, blocks, worms.min_dilatation, worms.max_dilatation)
-    for worm in range(worms.row.shape[0]):
-        code, found = _inspect(cells, worms, worm, sound, joints, lines, ball)
-        worms.status[worm], worms.found[worm] = code, found
-        if code == 0:
-            row = worms.row[worm]
-            for n in range(worms.node_cell.shape[1]):
-                here, j = cells[worms.node_cell[worm, n]], worms.node_lane[worm, n]
-                for i in range(3):
-                    worms.position[row, n, i], worms.velocity[row, n, i] = here.x[i, j], here.v[i, j]
-            if ball is not None:
-                for i in range(3):
-                    ball.shown[0][i], ball.shown[1][i] = ball.position[i], ball.velocity[i]
-
-
-@compiled_strictly
-def _is_sound(cells: Cells, blocks: IntArray, min_dilatation: float, max_dilatation: float) -> bool:
-    """Tell whether `_inspect` would find no element of some blocks at fault, all lanes at once."""
+def is_sound(cells: Cells, blocks: IntArray, worms: WormTable) -> bool:
+    """Tell whether `inspect` would find no element of some blocks at fault, all lanes at once."""
+    min_dilatation, max_dilatation = worms.min_dilatation, worms.max_dilatation
     faults = 0
     for block in range(blocks.shape[0]):
         for e in range(blocks[block, 0], blocks[block, 1] - 1):
@@ -89,17 +62,18 @@ def _is_sound(cells: Cells, blocks: IntArray, min_dilatation: float, max_dilatat
 
 
 @compiled_strictly
-def _inspect(
+def inspect(
     cells: Cells,
-    worms: Worms,
+    worms: WormTable,
     worm: int,
     sound: bool,
     joints: Joints,
     lines: Lines | None,
     ball: Ball | None,
 ) -> tuple[int, int]:
-    """Status code of a worm and its first element or joint at fault, or (0, -1); lines count on from the elements.
+    """Status code of a worm and its first element or joint at fault, or (0, -1) and it is written in its row.
 
+    Lines count on from the elements.
     A failure of the ball has no element.
 
     Where all elements are known to be `sound` they are not looked at.
@@ -149,4 +123,11 @@ def _inspect(
         for i in range(3):
             if not np.isfinite(ball.position[i] + ball.velocity[i] + ball.omega[i]):
                 return 1, -1
+        for i in range(3):
+            ball.output[0][i], ball.output[1][i] = ball.position[i], ball.velocity[i]
+    row = worms.row[worm]
+    for n in range(worms.node_cell.shape[1]):
+        here, j = cells[worms.node_cell[worm, n]], worms.node_lane[worm, n]
+        for i in range(3):
+            worms.position[row, n, i], worms.velocity[row, n, i] = here.x[i, j], here.v[i, j]
     return 0, -1

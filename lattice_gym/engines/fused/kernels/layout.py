@@ -21,13 +21,17 @@ _CACHE_LINE = 64
 
 
 def _record(**fields: int) -> np.dtype[np.void]:
-    """Record of fields by their number of components; `x[i, lane]`, or `rest[lane]` of a single one."""
-    return np.dtype([(name, np.float64, (n, LANES) if n > 1 else (LANES,)) for name, n in fields.items()])
+    """Record of fields by their number of components; `x[i, lane]`, or `rest[lane]` of a single one.
+
+    As `np.record` has it, so that kernels run as plain Python too, see `tests/test_kernels.py`.
+    """
+    parts = [(name, np.float64, (n, LANES) if n > 1 else (LANES,)) for name, n in fields.items()]
+    return np.dtype((np.record, parts))
 
 
 CELL = _record(
     # node
-    x=3, v=3, force=3, push=1, keep=1,
+    x=3, v=3, force=3, kick=1, keep=1,
     # element
     q=9, w=3, rest=1, shear=1, stretch=1, spin_kick=1, spin_decay=1,
     # Voronoi region
@@ -37,11 +41,12 @@ CELL = _record(
 )  # fmt: skip
 """One record of a block.
 
-Of a node its position [m], velocity [m/s] and force [N]; a force adds `push` dt / m times itself to the velocity, and
-damping leaves the share `keep` of that. Of an element its directors as rows, angular velocity in the material frame
-[rad/s], rest length [m], stiffness against shear and stretch [N], dt / (J1 rest), and half the rate of damping times
-dt over the rest length. Of a Voronoi region bend and twist stiffness times 16 rest^2, and half the rotation at rest.
-Tension of a muscle [N] and its rise in a step, 1 / rest, external couple [N m], constant load [N], node radius [m].
+Of a node its position [m], velocity [m/s] and force [N]; in a step a unit force adds `kick` to the velocity, about
+dt / m, and damping leaves the share `keep` of the velocity before. Of an element its directors as rows, angular
+velocity in the material frame [rad/s], rest length [m], stiffness against shear and stretch [N], dt / (J1 rest), and
+half the rate of damping times dt over the rest length. Of a Voronoi region bend and twist stiffness times 16 rest^2,
+and half the rotation at rest. Tension of a muscle [N] and its rise in a step, 1 / rest, external couple [N m], constant
+load [N], node radius [m].
 """
 
 WORK = _record(

@@ -1,4 +1,4 @@
-"""Massless muscles between two nodes: an elastic line and a tension, see `physics.assembly.Line`."""
+"""Massless muscles between two nodes: an elastic line and a tension, see `physics.laws.lines.Line`."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def apply_lines(cells: Cells, lines: Lines | None, hill: Hill | None) -> None:
 
 @compiled
 def account_lines(
-    cells: Cells, lines: Lines | None, hill: Hill | None, account: Account | None, counts: bool, ago: float
+    cells: Cells, lines: Lines | None, hill: Hill | None, account: Account | None, counts: bool, lag: float
 ) -> None:
     """Add the work of the lines since the moment last counted, as `muscles.account_muscles` does."""
     if lines is None or account is None:
@@ -93,10 +93,10 @@ def account_lines(
             side = b.x[i, lb] - a.x[i, la]
             square += side * side
             along += (b.v[i, lb] - a.v[i, la]) * side
-        length, pull = np.sqrt(square), lines.tension[n] - ago * lines.rise[n]
+        length, pull = np.sqrt(square), lines.tension[n] - lag * lines.rise[n]
         if hill is not None:
             inv_rest = 1.0 / lines.rest_length[n]
             pull *= hill_factor(length * inv_rest, along / length * inv_rest, hill)
         if counts:
-            account.total[0] += 0.5 * (account.line_pull[n] + pull) * (account.line[n] - length)
-        account.line[n], account.line_pull[n] = length, pull
+            account.total[0] += 0.5 * (account.line_tension[n] + pull) * (account.line[n] - length)
+        account.line[n], account.line_tension[n] = length, pull

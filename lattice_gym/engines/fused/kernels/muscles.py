@@ -55,11 +55,11 @@ def _length(pair: Cells, j: int) -> float:
 
 @compiled
 def account_muscles(
-    cells: Cells, active: IntArray, hill: Hill | None, account: Account | None, counts: bool, ago: float
+    cells: Cells, active: IntArray, hill: Hill | None, account: Account | None, counts: bool, lag: float
 ) -> None:
     """Add the work of the muscle rods since the moment last counted, by the trapezoid rule; begin to count from now.
 
-    The tension now is `ago` rises before the one that comes next.
+    The tension now is `lag` rises before the one that comes next.
     """
     if account is None:
         return
@@ -68,14 +68,14 @@ def account_muscles(
         for n in range(active[b, 0], active[b, 1] - 1):
             here, there = cells[n], cells[n + 1]
             for j in range(LANES):
-                length, pull = _length(cells[n : n + 2], j), here.tension[j] - ago * here.tension_rise[j]
+                length, tension = _length(cells[n : n + 2], j), here.tension[j] - lag * here.tension_rise[j]
                 if hill is not None:
                     along = 0.0
                     for i in range(3):
                         along += (there.v[i, j] - here.v[i, j]) * (there.x[i, j] - here.x[i, j])
                     inv_rest = here.inv_rest[j]
-                    pull *= hill_factor(length * inv_rest, along / length * inv_rest, hill)
+                    tension *= hill_factor(length * inv_rest, along / length * inv_rest, hill)
                 if counts:
-                    work += 0.5 * (account.pull[n, j] + pull) * (account.length[n, j] - length)
-                account.length[n, j], account.pull[n, j] = length, pull
+                    work += 0.5 * (account.tension[n, j] + tension) * (account.length[n, j] - length)
+                account.length[n, j], account.tension[n, j] = length, tension
     account.total[0] += work

@@ -19,9 +19,9 @@ _LARGE_Y = 0.09
 _ARC = series(lambda y: np.arcsin(np.sqrt(y)) / np.sqrt(y * (1.0 - y)), 9, _LARGE_Y)
 _LARGE_HALF = 0.25 * float(np.polynomial.polynomial.polyval(_LARGE_Y, _ARC))
 # Of t^2, sin(t) / t and (1 - cos(t)) / t^2:
-_LARGE_T2 = 0.25
-_SINE = series(lambda t2: np.sin(np.sqrt(t2)) / np.sqrt(t2), 5, _LARGE_T2)
-_VERSINE = series(lambda t2: 2.0 * np.sin(0.5 * np.sqrt(t2)) ** 2 / t2, 5, _LARGE_T2)
+LARGE_T2 = 0.25
+_SINE = series(lambda t2: np.sin(np.sqrt(t2)) / np.sqrt(t2), 5, LARGE_T2)
+_VERSINE = series(lambda t2: 2.0 * np.sin(0.5 * np.sqrt(t2)) ** 2 / t2, 5, LARGE_T2)
 
 
 @inlined
@@ -84,7 +84,7 @@ def find_turn(here: Any, work: Any, drift: float) -> None:
     w, square, sine, versine, n_large = here.w, work.square, work.sine, work.versine, 0
     for j in range(LANES):
         square[j], sine[j], versine[j] = turn(w[0, j], w[1, j], w[2, j], drift)
-        n_large += 1 if is_large_turn(square[j]) else 0
+        n_large += 1 if square[j] > LARGE_T2 else 0
     if n_large > 0:
         large_turn(work)
 
@@ -105,18 +105,12 @@ def turn(w0: float, w1: float, w2: float, drift: float) -> tuple[float, float, f
     return t2, sine, fma(t4, fma(t4, high, middle), low)
 
 
-@inlined
-def is_large_turn(square: float) -> bool:
-    """Whether the series of `turn` do not reach the square of an angle."""
-    return square > _LARGE_T2
-
-
 @compiled_strictly
 def large_turn(work: Any) -> None:
     """Write sin(t) / t and (1 - cos t) / t^2 where the series of `turn` do not reach."""
     square, sine, versine = work.square, work.sine, work.versine
     for j in range(LANES):
-        if square[j] > _LARGE_T2:
+        if square[j] > LARGE_T2:
             t = np.sqrt(square[j])
             sine[j] = np.sin(t) / t
             versine[j] = 2.0 * np.sin(0.5 * t) ** 2 / square[j]

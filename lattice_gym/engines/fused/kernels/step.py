@@ -17,37 +17,37 @@ import numpy as np
 from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.fused.kernels.account import Account, account_blocks, account_loss, open_account
 from lattice_gym.engines.fused.kernels.arithmetic import dot, fma
-from lattice_gym.engines.fused.kernels.ball import Ball, apply_friction, drift_ball, push_ball
+from lattice_gym.engines.fused.kernels.ball import Ball, apply_friction, drift_ball, kick_ball
 from lattice_gym.engines.fused.kernels.compiling import compiled, entry, inlined
-from lattice_gym.engines.fused.kernels.contact import Contact, end_contacts, listed_pairs, push_rods
-from lattice_gym.engines.fused.kernels.damping import is_large_decay, large_decay, spin_tail
+from lattice_gym.engines.fused.kernels.contact import Contact, add_contact_forces, close_list, listed_pairs
+from lattice_gym.engines.fused.kernels.damping import LARGE_DECAY, large_decay, spin_tail
 from lattice_gym.engines.fused.kernels.elasticity import bend_and_twist, force_along_d3
-from lattice_gym.engines.fused.kernels.ground import Ground, find_axis, kick_on_ground
-from lattice_gym.engines.fused.kernels.health import Worms, inspect
+from lattice_gym.engines.fused.kernels.ground import Ground, kick_on_ground, write_axis
+from lattice_gym.engines.fused.kernels.health import WormTable, inspect, is_sound
 from lattice_gym.engines.fused.kernels.hill import Hill, hill_factor
 from lattice_gym.engines.fused.kernels.joints import Joints, account_joints, apply_joints
 from lattice_gym.engines.fused.kernels.layout import LANES, Blocks, Cells
 from lattice_gym.engines.fused.kernels.lines import Lines, account_lines, apply_lines
 from lattice_gym.engines.fused.kernels.muscles import account_muscles
 from lattice_gym.engines.fused.kernels.rotation import (
+    LARGE_T2,
     find_half_angle,
     find_turn,
     half_rotation,
-    is_large_turn,
     large_turn,
     rotate_element,
     turn,
 )
 
 
-class Scene(NamedTuple):
+class Laws(NamedTuple):
     """The laws of a scene. What it lacks is None and is compiled away; of a mere flag the other value is 1.0.
 
     `symmetric` is the splitting "symmetric"; ball, contact and account are only there where the pack has one worm.
 
     A field goes on to each function that uses it as an argument of its own: numba compiles no branch that a None
     argument rules out, but reads the fields of a tuple only when it runs. So the functions of a law do nothing where it
-    is None, and `run` calls them all.
+    is None, and `advance` calls them all.
     """
 
     joints: Joints
@@ -65,10 +65,10 @@ class Scene(NamedTuple):
 
 
 @entry
-def run(blocks: Blocks, scene: Scene, worms: Worms, n_steps: int, dt: float) -> None:
-    """Advance all worms in place by n_steps of position Verlet, inspect each and write out the nodes of the sound ones.
+def advance(blocks: Blocks, scene: Laws, worms: WormTable, n_steps: int, dt: float) -> None:
+    """Advance all worms in place by n_steps of position Verlet, and inspect each; NaN spreads, and nothing raises.
 
-    NaN spreads, and nothing raises.
+    All in one: numba makes the machine code of each function anew for each that it is compiled into.
     """
     cells, work, passive, active = blocks
     joints, joint_damping, lines, hill = scene.joints, scene.joint_damping, scene.lines, scene.hill
@@ -86,11 +86,11 @@ def run(blocks: Blocks, scene: Scene, worms: Worms, n_steps: int, dt: float) -> 
         apply_lines(cells, lines, hill)
         account_lines(cells, lines, hill, account, True, 1.0)
         account_muscles(cells, active, hill, account, True, 0.0)
-        n_touch, lost = push_ball(cells, passive, active, ball)
+        n_touch, lost = kick_ball(cells, passive, active, ball)
         account_loss(account, dt * lost)
-        pairs, lost = push_rods(cells, contact, pairs)
+        pairs, lost = add_contact_forces(cells, contact, pairs)
         account_loss(account, dt * lost)
-        find_axis(cells, ground)
+        write_axis(cells, ground)
         _step_blocks(cells, work, passive, scene, None, None, dt, drift)
         _step_blocks(cells, work, active, scene, 1.0, hill, dt, drift)
         lost = apply_friction(cells, ball, n_touch, drift)
@@ -98,10 +98,12 @@ def run(blocks: Blocks, scene: Scene, worms: Worms, n_steps: int, dt: float) -> 
         account_joints(cells, joints, joint_damping, account, dt)
         account_blocks(cells, work, passive, account, scene.torques, scene.spin_damping, scene.symmetric, ground, dt)
         account_blocks(cells, work, active, account, scene.torques, scene.spin_damping, scene.symmetric, ground, dt)
-    end_contacts(contact, pairs)
+    close_list(contact, pairs)
     account_muscles(cells, active, hill, account, True, 0.5)
     account_lines(cells, lines, hill, account, True, 0.5)
-    inspect(cells, passive, active, worms, joints, lines, ball)
+    sound = is_sound(cells, passive, worms) and is_sound(cells, active, worms)
+    for worm in range(worms.row.shape[0]):
+        worms.status[worm], worms.found[worm] = inspect(cells, worms, worm, sound, joints, lines, ball)
 
 
 @compiled
@@ -125,7 +127,7 @@ def _step_blocks(
     cells: Cells,
     work: Cells,
     block: IntArray,
-    scene: Scene,
+    scene: Laws,
     tension: float | None,
     hill: Hill | None,
     dt: float,
@@ -196,7 +198,7 @@ def _stress(
             spin_keep[j] = fma(-y, tail, 1.0)
             if symmetric is not None:
                 spin_late[j] = tail
-            n_large += 1 if is_large_decay(y) else 0
+            n_large += 1 if y > LARGE_DECAY else 0
         a = dot(q[0, j], q[1, j], q[2, j], dx, dy, dz)
         b = dot(q[3, j], q[4, j], q[5, j], dx, dy, dz)
         c = dot(q[6, j], q[7, j], q[8, j], dx, dy, dz)
@@ -230,16 +232,16 @@ def _move_node(
     here: Any, drift: float, loads: float | None, ground: Ground | None, account: Account | None, n: int
 ) -> None:
     """Kick, damp and drift node n, and reset its force to its constant load for the next step."""
-    x, v, force, push, keep, load = here.x, here.v, here.force, here.push, here.keep, here.load
+    x, v, force, kick, keep, load = here.x, here.v, here.force, here.kick, here.keep, here.load
     if ground is not None:
         kick_on_ground(here, ground, account, n)
     for j in range(LANES):
         if ground is not None:
             u0, u1, u2 = v[0, j], v[1, j], v[2, j]
         else:
-            u0 = fma(force[0, j], push[j], v[0, j] * keep[j])
-            u1 = fma(force[1, j], push[j], v[1, j] * keep[j])
-            u2 = fma(force[2, j], push[j], v[2, j] * keep[j])
+            u0 = fma(force[0, j], kick[j], v[0, j] * keep[j])
+            u1 = fma(force[1, j], kick[j], v[1, j] * keep[j])
+            u2 = fma(force[2, j], kick[j], v[2, j] * keep[j])
         f0, f1, f2 = 0.0, 0.0, 0.0
         if loads is not None:
             f0, f1, f2 = load[0, j], load[1, j], load[2, j]
@@ -311,6 +313,6 @@ def _spin_element(
                 z0, z1, z2 = z0 * aside, z1 * aside, z2 * keep[j]
         w[0, j], w[1, j], w[2, j] = z0, z1, z2
         square[j], sine[j], versine[j] = turn(z0, z1, z2, drift)
-        n_large += 1 if is_large_turn(square[j]) else 0
+        n_large += 1 if square[j] > LARGE_T2 else 0
     if n_large > 0:
         large_turn(work)

@@ -1,15 +1,16 @@
-"""The critical (largest stable) time step of an assembly, predicted from its forces around rest.
+"""The critical time step of an assembly, the largest stable one, predicted from its forces around rest.
 
-Around rest the forces are linear: M x'' = -K x - C x', with the dampers of nodes and elements apart. A step that flips
-the sign of a motion y, x_n = (-1)^n y, is the largest that the scheme bears. In position Verlet whose damper leaves the
-shares a and b of a velocity before and after the kick (`damping.damping_shares`), and with dashpots C that see the
-velocity before the kick, that is (dt^2 K + 2 dt C) y = 2 M (1/b + a) y. All matrices are symmetric, so the largest
-eigenvalue decides for the whole assembly. It is found by Lanczos' iteration. Every law of the model adds its springs to
-K and its dashpots to C, see `Law.linearised`. Weights are constant, and friction only takes from velocities.
+Around rest the forces are linear, M x'' = -K x - C x', with the dampers of nodes and elements treated apart. At the
+critical step a mode y changes its sign every step, x_n = (-1)^n y. In position Verlet, where a damper leaves the shares
+a and b of a velocity before and after the kick (`damping.damping_shares`) and dashpots C act by the velocity before the
+kick, that gives (dt^2 K + 2 dt C) y = 2 M (1/b + a) y. All matrices are symmetric, so the largest eigenvalue decides
+for the whole assembly; Lanczos' iteration finds it. Every law of the model adds its springs to K and its dashpots to C,
+see `Law.linearised`. Weights are constant and friction only takes energy away: neither matters.
 
-Left out is what forces around rest do not show: kinks of a right angle between elements and, with the "pyelastica"
-splitting, elements that spin about their rod. That step takes the gyroscopic term from before the kick, which feeds the
-spin of slender, hardly damped elements on a coarse mesh: such a worm may be stable only well below the prediction.
+Two effects are left out, as forces around rest do not show them: kinks of a right angle between elements and, with the
+"pyelastica" splitting, elements that spin about their rod. That splitting takes the gyroscopic term from before the
+kick, which drives the spin of slender, hardly damped elements on a coarse mesh: such a worm may be stable only well
+below the prediction.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ from lattice_gym.physics.laws.damping import Splitting, coefficients, damping_sh
 from lattice_gym.physics.laws.muscles import contraction
 
 SAFETY = 0.72
-"""Share of the computed limit that `stable_dt` gives. Chosen on the report's grid and its random designs of seed 0."""
+"""Safety factor: share of the computed limit that `critical_dt` returns, chosen on the stability report's grid and its
+random designs of seed 0."""
 
 DT_MARGIN = 0.72
-"""Share of the predicted stable step that `default_dt` may use."""
+"""Share of the predicted critical step that `default_dt` may use."""
 
 N_LANCZOS = 80
 """Steps k of Lanczos' iteration: from a random start the largest of n eigenvalues is then expected to within
@@ -41,14 +43,15 @@ _ROUND_TOLERANCE = 2e-3
 """Rounds of the step that dampers and dashpots depend on, at most, and the share of growth at which they end."""
 
 _MAX_EXPONENT = 500.0
-"""Damping over a step, c dt / m, beyond which a mass would overflow; it holds still long before."""
+"""Damping over a step, c dt / m, beyond which the effective mass would overflow; velocities are zero long before."""
 
 _FROZEN = 50.0
-"""Damping over a step, in all that moves, beyond which PyElastica's splitting leaves nothing to grow."""
+"""Damping over a step, of everything that moves, beyond which PyElastica's splitting damps all motion out in one
+step."""
 
 
-def stable_dt(model: RodModel, max_tension: float = 0.0, splitting: Splitting = "pyelastica") -> float:
-    """Predict the largest stable step of an assembly [s]; infinite where its dampers, or its clamps, hold every step.
+def critical_dt(model: RodModel, max_tension: float = 0.0, splitting: Splitting = "pyelastica") -> float:
+    """Predict the critical time step of an assembly [s]; infinite where dampers or clamps make every step stable.
 
     Parameters
     ----------
@@ -69,9 +72,9 @@ def stable_dt(model: RodModel, max_tension: float = 0.0, splitting: Splitting = 
 
 
 def default_dt(model: RodModel, control_dt: float, max_tension: float = 0.0) -> float:
-    """Largest step [s] that divides `control_dt` and is at most `DT_MARGIN` of what is stable without any damper.
+    """Largest step [s] that divides `control_dt` and is at most `DT_MARGIN` of the critical one without any damper.
 
-    A damper may make larger steps stable, but where it does it is not resolved: the motion freezes. Where clamps hold
+    Dampers can make larger steps stable, but such steps do not resolve them: the motion freezes. Where clamps hold
     everything it is `control_dt`.
     """
     limit = SAFETY * _Linear(model, max_tension).largest_dt(None)
@@ -81,7 +84,7 @@ def default_dt(model: RodModel, control_dt: float, max_tension: float = 0.0) -> 
 class _Linear:
     """Forces of an assembly in line with small displacements [m] and turns [rad, material frame], muscles shortened.
 
-    Vectors have the shape (3 n_node + 3 n_elem + 3 n_bolus,), see `base.Generalised`.
+    Vectors have the shape (3 n_node + 3 n_elem + 3 n_ball,), see `base.Generalised`.
     """
 
     def __init__(self, model: RodModel, max_tension: float) -> None:
@@ -91,17 +94,17 @@ class _Linear:
         self.springs = sorted((spring for part in parts for spring in part.springs), key=lambda spring: spring.coupled)
         self.dashpots = [dashpot for part in parts for dashpot in part.dashpots]
         e = np.repeat(shortened.rod, [rod.n_elem for rod in model.rods])
-        spin_mass = (model.of_rods("inertia") / e)[:, None] * [1.0, 1.0, 2.0]
+        spin_mass = (model.rod_array("inertia") / e)[:, None] * [1.0, 1.0, 2.0]
         ball_mass = np.repeat([ball.mass for ball in model.balls], 3)
         self.mass = np.concatenate([np.repeat(model.node_mass, 3), spin_mass.ravel(), ball_mass])
         self.rate = coefficients(model) / self.mass
         self.free = np.ones(self.mass.size)
         free = Generalised.split(model, self.free)
-        free.node[model.held_nodes[0]] = 0.0
-        free.element[model.held_elements[0]] = 0.0
+        free.node[model.clamped_nodes[0]] = 0.0
+        free.element[model.clamped_elements[0]] = 0.0
 
     def largest_dt(self, splitting: Splitting | None) -> float:
-        """Largest stable step [s]; without dampers (but with dashpots) where splitting is None.
+        """Critical time step [s]; without dampers (but with dashpots) where splitting is None.
 
         The dampers' share and that of the dashpots depend on the step. Each round takes them at the step of the round
         before; the first is too short, and so no round goes beyond the limit.
@@ -125,7 +128,7 @@ class _Linear:
         return dt
 
     def _effective_mass(self, dt: float, splitting: Splitting | None) -> FloatArray:
-        """Mass that a step of dt has to turn round: m (1/late + early) / 2 with the `damping_shares` of a kick."""
+        """Effective mass at the critical step: m (1/late + early) / 2 with the `damping_shares` of a kick."""
         if splitting is None:
             return self.mass
         decay = self.rate * dt
