@@ -371,7 +371,8 @@ def test_any_task_in_any_world(task: str, engine_name: EngineName) -> None:
     world = World(medium=Medium(drag=0.01), ground=Ground(forward=0.5), ball=ball, lying=True)
     design = SMALL | {"base": "free", "muscle_model": "line" if ball is None else "rod"}
     command = SMALL_WAVE if task == "peristalsis" else None
-    env = LatticeWormEnv(task, design=design, world=world, engine=engine_name, control="ring", command=command)
+    kwargs: dict[str, Any] = {"control": "ring", "control_dt": 0.01, "command": command}
+    env = LatticeWormEnv(task, design=design, world=world, engine=engine_name, **kwargs)
     first = _episode(env, 3)
     assert all(step[0] in env.observation_space for step in first)
     assert first[-1][4]["status"] == "ok"

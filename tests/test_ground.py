@@ -117,22 +117,22 @@ def test_friction_by_direction_needs_an_axis() -> None:
     assert RodModel(rods=(there, back), ground=alike).ground == alike
 
 
-SECOND, CONTROL_DT = 20, 0.05
+CONTROL_DT = 0.05
 
 
-def crawl(env: LatticeWormEnv) -> Iterator[FloatArray]:
-    """Tensions of the hand-made gait over each control step of a second, shape (2, n_muscle)."""
+def crawl(env: LatticeWormEnv, n_step: int) -> Iterator[FloatArray]:
+    """Tensions of the hand-made gait over each control step, shape (2, n_muscle)."""
     env.reset(seed=0, options={"direction": 1.0})
     commands, design = gait("crawl", env.lattice, env.layout, env.task.command), env.design
     before = np.zeros(env.model.n_muscle)
-    for step in range(SECOND):
+    for step in range(n_step):
         after = advance_activation(before, commands(step * CONTROL_DT), CONTROL_DT, design.rise_time, design.decay_time)
         yield design.max_tension * np.stack([before, after])
         before = after
 
 
 def test_engines_agree_on_a_crawl() -> None:
-    """The task's own world, for a second: 1e-6 m, and an energy that closes.
+    """The task's own world, for half a second: 1e-6 m, and an energy that closes.
 
     The mesh is coarse, for the sake of time. What the law leaves, see `energy`, is up to a hundredth of what was
     dissipated, as in the air.
@@ -143,7 +143,7 @@ def test_engines_agree_on_a_crawl() -> None:
     start, residual, dissipated = env.state, 0.0, 0.0
     for engine in (fused, reference):
         engine.restore(start)
-    for pull in crawl(env):
+    for pull in crawl(env, 10):
         assert fused.advance(pull, env.n_substeps).ok
         assert reference.advance(pull, env.n_substeps).ok
         entry = fused.ledger
@@ -170,7 +170,7 @@ def test_the_momentum_of_a_crawl_closes() -> None:
     weight = dt * model.node_weight.sum(axis=0)
     engine.restore(env.state)
     now, largest, error, sticks = env.state, np.zeros(3), np.zeros(3), 0
-    for pull in crawl(env):
+    for pull in crawl(env, 20):
         for step in range(env.n_substeps):
             tension = pull[0] + (pull[1] - pull[0]) * ((step + 0.5) / env.n_substeps)
             free.restore(now)
