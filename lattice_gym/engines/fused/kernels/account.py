@@ -65,10 +65,8 @@ def account_loss(account: Account | None, energy: float) -> None:
 
 
 @compiled
-def open_account(cells: Cells, account: Account | None) -> None:
+def open_account(cells: Cells, account: Account) -> None:
     """Begin the sums of a call anew; note velocities and spins."""
-    if account is None:
-        return
     account.total[:] = 0.0
     for n in range(cells.shape[0]):
         v, w = cells[n].v, cells[n].w
@@ -82,7 +80,7 @@ def account_blocks(
     cells: Cells,
     work: Cells,
     block: IntArray,
-    account: Account | None,
+    account: Account,
     torques: float | None,
     spin_damping: float | None,
     symmetric: float | None,
@@ -93,8 +91,6 @@ def account_blocks(
 
     Forces work at the mean velocity of a step; of damping see `damping.loss_factors`.
     """
-    if account is None:
-        return
     twist, lost = 0.0, 0.0
     for b in range(block.shape[0]):
         first, last = block[b, 0], block[b, 1] - 1

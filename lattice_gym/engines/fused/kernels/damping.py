@@ -1,8 +1,8 @@
 """Damping of velocities and spins, once after the kick or all along it: see `physics.laws.damping`.
 
-A node keeps the share `keep` of its velocity. An element keeps exp(-y) of its spin about d3, with y = damping length dt
-/ (2 J1 ...): J / e bears the spin, so that its decay goes with its length; across d3, where J is half as large, it
-keeps the square of that.
+A node keeps the share `keep` of its velocity in a step. An element keeps exp(-y) of its spin about d3, where y is
+`spin_decay` times its length: as its inertia over its dilatation bears the spin, the decay grows with its length.
+Across d3, where the inertia is half as large, it keeps the square of that.
 """
 
 from __future__ import annotations

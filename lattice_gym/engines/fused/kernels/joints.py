@@ -74,12 +74,8 @@ def apply_joints(cells: Cells, joints: Joints, damping: FloatArray | None) -> No
 
 
 @compiled
-def account_joints(
-    cells: Cells, joints: Joints, damping: FloatArray | None, account: Account | None, dt: float
-) -> None:
+def account_joints(cells: Cells, joints: Joints, damping: FloatArray, account: Account, dt: float) -> None:
     """Add what the dashpots took in the step just taken: they pull with the velocities from before the kick."""
-    if damping is None or account is None:
-        return
     lost = 0.0
     for n in range(joints.cell_a.shape[0]):
         a, b, la, lb = joints.cell_a[n], joints.cell_b[n], joints.lane_a[n], joints.lane_b[n]

@@ -80,12 +80,8 @@ def apply_lines(cells: Cells, lines: Lines | None, hill: Hill | None) -> None:
 
 
 @compiled
-def account_lines(
-    cells: Cells, lines: Lines | None, hill: Hill | None, account: Account | None, counts: bool, lag: float
-) -> None:
+def account_lines(cells: Cells, lines: Lines, hill: Hill | None, account: Account, counts: bool, lag: float) -> None:
     """Add the work of the lines since the moment last counted, as `muscles.account_muscles` does."""
-    if lines is None or account is None:
-        return
     for n in range(lines.cell_a.shape[0]):
         a, b, la, lb = cells[lines.cell_a[n]], cells[lines.cell_b[n]], lines.lane_a[n], lines.lane_b[n]
         square, along = 0.0, 0.0

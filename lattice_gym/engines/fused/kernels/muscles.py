@@ -55,14 +55,12 @@ def _length(pair: Cells, j: int) -> float:
 
 @compiled
 def account_muscles(
-    cells: Cells, active: IntArray, hill: Hill | None, account: Account | None, counts: bool, lag: float
+    cells: Cells, active: IntArray, hill: Hill | None, account: Account, counts: bool, lag: float
 ) -> None:
     """Add the work of the muscle rods since the moment last counted, by the trapezoid rule; begin to count from now.
 
     The tension now is `lag` rises before the one that comes next.
     """
-    if account is None:
-        return
     work = 0.0
     for b in range(active.shape[0]):
         for n in range(active[b, 0], active[b, 1] - 1):

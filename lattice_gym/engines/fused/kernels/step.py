@@ -73,9 +73,7 @@ def advance(blocks: Blocks, scene: Laws, worms: WormTable, n_steps: int, dt: flo
     cells, work, passive, active = blocks
     joints, joint_damping, lines, hill = scene.joints, scene.joint_damping, scene.lines, scene.hill
     ground, ball, contact, account = scene.ground, scene.ball, scene.contact, scene.account
-    open_account(cells, account)
-    account_muscles(cells, active, hill, account, False, 0.5)
-    account_lines(cells, lines, hill, account, False, 0.5)
+    _open_account(cells, active, lines, hill, account)
     _half_drift(cells, work, passive, 0.5 * dt)
     _half_drift(cells, work, active, 0.5 * dt)
     drift_ball(ball, 0.5 * dt)
@@ -84,8 +82,7 @@ def advance(blocks: Blocks, scene: Laws, worms: WormTable, n_steps: int, dt: flo
         drift = dt if step < n_steps - 1 else 0.5 * dt
         apply_joints(cells, joints, joint_damping)
         apply_lines(cells, lines, hill)
-        account_lines(cells, lines, hill, account, True, 1.0)
-        account_muscles(cells, active, hill, account, True, 0.0)
+        _account_muscles(cells, active, lines, hill, account, 1.0, 0.0)
         n_touch, lost = kick_ball(cells, passive, active, ball)
         account_loss(account, dt * lost)
         pairs, lost = add_contact_forces(cells, contact, pairs)
@@ -95,15 +92,55 @@ def advance(blocks: Blocks, scene: Laws, worms: WormTable, n_steps: int, dt: flo
         _step_blocks(cells, work, active, scene, 1.0, hill, dt, drift)
         lost = apply_friction(cells, ball, n_touch, drift)
         account_loss(account, dt * lost)
-        account_joints(cells, joints, joint_damping, account, dt)
-        account_blocks(cells, work, passive, account, scene.torques, scene.spin_damping, scene.symmetric, ground, dt)
-        account_blocks(cells, work, active, account, scene.torques, scene.spin_damping, scene.symmetric, ground, dt)
+        _account_step(blocks, scene, account, joint_damping, dt)
     close_list(contact, pairs)
-    account_muscles(cells, active, hill, account, True, 0.5)
-    account_lines(cells, lines, hill, account, True, 0.5)
+    _account_muscles(cells, active, lines, hill, account, 0.5, 0.5)
     sound = is_sound(cells, passive, worms) and is_sound(cells, active, worms)
     for worm in range(worms.row.shape[0]):
         worms.status[worm], worms.found[worm] = inspect(cells, worms, worm, sound, joints, lines, ball)
+
+
+@inlined
+def _open_account(
+    cells: Cells, active: IntArray, lines: Lines | None, hill: Hill | None, account: Account | None
+) -> None:
+    """Note what the work of the first step begins with."""
+    if account is not None:
+        open_account(cells, account)
+        account_muscles(cells, active, hill, account, False, 0.5)
+        if lines is not None:
+            account_lines(cells, lines, hill, account, False, 0.5)
+
+
+@inlined
+def _account_muscles(
+    cells: Cells,
+    active: IntArray,
+    lines: Lines | None,
+    hill: Hill | None,
+    account: Account | None,
+    line_ago: float,
+    rod_ago: float,
+) -> None:
+    """Add the work of lines and muscle rods since it was last added; the tension now is so many rises ago."""
+    if account is not None:
+        if lines is not None:
+            account_lines(cells, lines, hill, account, True, line_ago)
+        account_muscles(cells, active, hill, account, True, rod_ago)
+
+
+@inlined
+def _account_step(
+    blocks: Blocks, scene: Laws, account: Account | None, joint_damping: FloatArray | None, dt: float
+) -> None:
+    """Add what torques, damping and the ground did in the step just taken."""
+    if account is not None:
+        cells, work, passive, active = blocks
+        torques, spin_damping, symmetric, ground = scene.torques, scene.spin_damping, scene.symmetric, scene.ground
+        if joint_damping is not None:
+            account_joints(cells, scene.joints, joint_damping, account, dt)
+        account_blocks(cells, work, passive, account, torques, spin_damping, symmetric, ground, dt)
+        account_blocks(cells, work, active, account, torques, spin_damping, symmetric, ground, dt)
 
 
 @compiled
