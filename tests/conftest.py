@@ -14,6 +14,16 @@ settings.register_profile("seeded", derandomize=True)
 settings.load_profile("seeded")
 
 
+LONGEST = ("test_env", "test_tasks", "test_agents", "test_energy", "test_hill", "test_ball", "test_physics")
+"""Files that begin first, so that no process is left alone with one of them at the end."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests of the longest files first."""
+    place = {name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+
+
 @pytest.fixture(params=["fused", "pyelastica"])
 def engine_name(request: pytest.FixtureRequest) -> EngineName:
     """Run the test on either engine."""

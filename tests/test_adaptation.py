@@ -21,6 +21,8 @@ from lattice_gym.physics.laws.adaptation import Adaptation, Strength
 from lattice_gym.physics.measures import muscle_strain
 from lattice_gym.physics.worm import build_model
 
+pytestmark = pytest.mark.slow
+
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 USE: dict[str, Any] = {"activation": [0.0, 0.5, 1.0], "tension": [0.0, 1.0, 2.0], "strain": [0.0, -0.2, 0.3]}
 

@@ -52,6 +52,8 @@ from lattice_gym.recording.trajectory import Trajectory
 from lattice_gym.rendering.extras import extra
 from lattice_gym.tasks.registry import TASKS, design_for, gait
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent
 TINY = TrainConfig(
     task="extension", total_steps=160, seed=3, n_envs=1, n_steps=80, batch_size=40, n_epochs=2, checkpoint_every=80

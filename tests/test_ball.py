@@ -35,6 +35,8 @@ from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.registry import gait
 from lattice_gym.tasks.transport import Transport
 
+pytestmark = pytest.mark.slow
+
 ROD: dict[str, Any] = {"radius": 0.01, "density": 1000.0, "youngs_modulus": 1e7, "shear_modulus": 4e6}
 SOFT: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e3, "shear_modulus": 3e2}
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}

@@ -35,6 +35,8 @@ from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 
+pytestmark = pytest.mark.slow
+
 FIELDS = ("position", "velocity", "directors", "omega", "ball_position", "ball_velocity", "ball_omega")
 DT = 1e-4
 SMALL = {"n_pairs": 3, "elements_per_segment": 3, "elements_per_muscle": 2}

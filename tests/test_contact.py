@@ -35,6 +35,8 @@ from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 
+pytestmark = pytest.mark.slow
+
 ROD: dict[str, Any] = {"radius": 0.01, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}
 SOFT: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e3, "shear_modulus": 3e2}
 REACH = 2.0 * ROD["radius"]

@@ -18,6 +18,8 @@ from lattice_gym.benchmarks.divergence.runs import FIRST_SEED, N_CONTROL
 from lattice_gym.engines.energy_audit import EnergyAudit
 from lattice_gym.engines.health import Health, Status
 
+pytestmark = pytest.mark.slow
+
 
 def _run(verdict: str, status: str, delay: int | None) -> Run:
     return Run(

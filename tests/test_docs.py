@@ -20,6 +20,8 @@ from agents.command_line import options
 from agents.config import TrainConfig
 from lattice_gym.engines.registry import ENGINES
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))

@@ -32,6 +32,8 @@ from lattice_gym.verification.case import Case
 from lattice_gym.verification.ground import incline, rest_penetration, sliding_block_by_direction
 from lattice_gym.verification.orders import slope
 
+pytestmark = pytest.mark.slow
+
 ROD = {"radius": 0.05, "density": 1e3, "youngs_modulus": 1e5, "shear_modulus": 3e4}
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 

@@ -40,6 +40,8 @@ from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 
+pytestmark = pytest.mark.slow
+
 FIELDS = ("position", "velocity", "directors", "omega")
 
 

@@ -54,6 +54,8 @@ from lattice_gym.tasks.base import EFFORT_WEIGHT, MIN_PENALTY, RewardTerm
 from lattice_gym.tasks.peristalsis import Peristalsis
 from lattice_gym.tasks.registry import TASKS
 
+pytestmark = pytest.mark.slow
+
 IDS = {
     "LatticeWorm-v0": ("peristalsis", 90, 200),
     "LatticeWormPeristalsis-v0": ("peristalsis", 90, 200),

@@ -23,6 +23,8 @@ from agents.rollouts import export
 from agents.run_folder import Run
 from agents.training import train
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "docs" / "examples" / "twist.py"
 ID, TASK = "LatticeWorm-v0", "twist:Twist"

@@ -26,6 +26,8 @@ from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.registry import gait
 
+pytestmark = pytest.mark.slow
+
 BY_DIRECTION = Ground(forward=0.4, backward=1.5, sideways=0.8, static_friction=0.6)
 SOFT = {"radius": 0.1, "density": 1000.0, "youngs_modulus": 1e-7, "shear_modulus": 4e-8}
 """So soft that each node is a block of its own."""

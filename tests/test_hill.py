@@ -24,6 +24,8 @@ from lattice_gym.physics.laws.loads import PointForce
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.worm import build_model
 
+pytestmark = pytest.mark.slow
+
 SOFT: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 10.0, "shear_modulus": 4.0}
 SLOW = Hill(max_speed=2.0)
 """Slow enough that the motions below show it."""

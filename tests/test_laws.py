@@ -28,6 +28,8 @@ from lattice_gym.physics.laws.muscles import MuscleLaw
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
 
+pytestmark = pytest.mark.slow
+
 DT = 1e-4
 SOFT: dict[str, Any] = {"radius": 0.02, "density": 800.0, "youngs_modulus": 3e3, "shear_modulus": 1e3}
 LOADS: dict[str, Any] = {

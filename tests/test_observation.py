@@ -23,6 +23,8 @@ from lattice_gym.envs.terms import TERMS
 from lattice_gym.physics.measures import base_frame, muscle_lengths, muscle_rates, ring_radii, site_positions
 from lattice_gym.physics.state import Motion
 
+pytestmark = pytest.mark.slow
+
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 """A lattice of three sites on each of five levels: quick to build and to step."""
 ALL: dict[str, Any] = {"rhythm": 1.3, "adaptation": {"fatigue_rate": 0.5}, "observation": list(TERMS)}

@@ -20,6 +20,8 @@ from lattice_gym.verification.ground import GROUND_CASES
 from lattice_gym.verification.motion import PRECESSION_STEPS
 from lattice_gym.verification.orders import STEP_SCENES, StepScene, slope, step_orders, step_trials
 
+pytestmark = pytest.mark.slow
+
 QUICK = [case for case in CASES if case.name not in ("michell_ring", "localised_buckle")]
 HELD = [case for case in CASES if case not in QUICK]
 ELASTIC = (

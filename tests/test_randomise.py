@@ -113,6 +113,7 @@ def test_without_it_nothing_changes() -> None:
     assert "factors" not in one[0][1]
 
 
+@pytest.mark.slow
 def test_as_many_single_environments() -> None:
     """A batch draws for each worm what single environments draw, at every reset, and all else follows."""
     kwargs = {**QUICK, "randomise": ALL, "adaptation": {"fatigue_rate": 1.0}, "rhythm": 1.0, "energy_check": True}

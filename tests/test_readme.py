@@ -10,6 +10,8 @@ import pytest
 
 import lattice_gym
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
 

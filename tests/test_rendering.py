@@ -37,6 +37,8 @@ from lattice_gym.rendering.figures import Still, plot_activation, render_still, 
 from lattice_gym.rendering.scene import Renderer, render_frame
 from lattice_gym.rendering.video import render_video
 
+pytestmark = pytest.mark.slow
+
 imageio_ffmpeg = extra("imageio_ffmpeg")
 SIZE = (160, 120)
 STRETCH = np.array([0.8, 0.8, 1.6])

@@ -15,6 +15,8 @@ from lattice_gym.benchmarks.benchmark_scene import ENGINES
 from lattice_gym.benchmarks.results_files import table
 from lattice_gym.engines.fused.engine import FusedEngine
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_papers_motions_at_one_newton(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Extension within 10 %, compression and bending within 5 % of Table 2, with every joint and rod whole."""

@@ -20,6 +20,8 @@ from agents.environments import make_env, make_vector_env
 from lattice_gym import LatticeWormVectorEnv
 from lattice_gym.sb3 import WormVecEnv
 
+pytestmark = pytest.mark.slow
+
 IDS = sorted(name for name in gymnasium.registry if name.startswith("LatticeWorm"))
 GOAL = "LatticeWormReachGoal-v0"
 COMMANDS = {"azimuth": [0.0, 1.0, 2.0]}  # one is drawn for each episode

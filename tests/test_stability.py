@@ -21,7 +21,7 @@ from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import Clamp, RodModel
-from lattice_gym.physics.critical_step import DT_MARGIN, SAFETY, _largest_eigenvalue, critical_dt, default_dt
+from lattice_gym.physics.critical_step import DT_MARGIN, SAFETY, critical_dt, default_dt, largest_eigenvalue
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
@@ -33,6 +33,8 @@ from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
+
+pytestmark = pytest.mark.slow
 
 STEEL: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}
 SOFT: dict[str, Any] = STEEL | {"youngs_modulus": 1.0, "shear_modulus": 1.0}
@@ -316,9 +318,9 @@ def test_largest_eigenvalue() -> None:
     for size in (1, 2, 30, 300):
         root = rng.standard_normal((size, size))
         matrix = root @ root.T
-        found = _largest_eigenvalue(matrix.__matmul__, size)
+        found = largest_eigenvalue(matrix.__matmul__, size)
         assert found == pytest.approx(np.linalg.eigvalsh(matrix)[-1], rel=1e-3)
-    assert _largest_eigenvalue(lambda x: 3.0 * x, 50) == pytest.approx(3.0)
+    assert largest_eigenvalue(lambda x: 3.0 * x, 50) == pytest.approx(3.0)
 
 
 def cheap(case: Case) -> bool:

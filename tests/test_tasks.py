@@ -28,6 +28,8 @@ from lattice_gym.tasks.peristalsis import FULL_DRIVE_AMPLITUDE, Peristalsis
 from lattice_gym.tasks.reach import EIGHT_TARGETS
 from lattice_gym.tasks.registry import TASKS, design_for, gait, resolve_task, task_label
 
+pytestmark = pytest.mark.slow
+
 LATTICE = build_lattice(LatticeDesign())
 MODEL = build_model(LATTICE, named_layout("all", LATTICE))
 SHAPE = LATTICE.position.reshape(-1, 3)

@@ -27,6 +27,8 @@ from lattice_gym.engines.fused.engine import FusedEngine
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.worm import build_model
 
+pytestmark = pytest.mark.slow
+
 BRIEF = replace(
     study.QUICK,
     repeats=1,

@@ -26,6 +26,8 @@ from agents.run_folder import Run
 from lattice_gym.tasks.registry import TASKS
 from train import main as train_main
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent
 
 

@@ -11,6 +11,8 @@ import pytest
 from lattice_gym.benchmarks.unchanged import report as unchanged
 from lattice_gym.benchmarks.unchanged.report import HERE, TIMED, compare, first_difference
 
+pytestmark = pytest.mark.slow
+
 REST, MOVED = {"reward": "a", "observation": "b"}, {"reward": "c", "observation": "d"}
 
 

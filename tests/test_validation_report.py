@@ -12,6 +12,8 @@ from lattice_gym.benchmarks.__main__ import Validation, parse
 from lattice_gym.benchmarks.validation import report as validation
 from lattice_gym.verification.cases import CASES
 
+pytestmark = pytest.mark.slow
+
 FEW = tuple(
     case for case in CASES if case.name in ("timoshenko_cantilever", "uniform_twist", "energy", "helical_spring")
 )

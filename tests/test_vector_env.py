@@ -28,6 +28,8 @@ from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.tasks.base import MIN_PENALTY
 from lattice_gym.tasks.registry import TASKS
 
+pytestmark = pytest.mark.slow
+
 SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 """A lattice of three sites on each of five levels: quick to build and to step."""
 QUICK: dict[str, Any] = {"design": SMALL, "control_dt": 0.01}

@@ -28,6 +28,8 @@ from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.registry import TASKS
 
+pytestmark = pytest.mark.slow
+
 BRIEF = replace(SCENES[0], duration=0.1)
 RESULTS = Path(report.__file__).parents[1] / "results"
 SHARE = r"-?[\d.]+(?= %)"

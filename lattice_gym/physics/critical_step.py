@@ -149,7 +149,7 @@ class _Linear:
             )
             return scaled
 
-        return _largest_eigenvalue(apply, scale.size)
+        return largest_eigenvalue(apply, scale.size)
 
     def _sum(self, operators: Sequence[Operator], x: FloatArray) -> FloatArray:
         """Return the forces of all operators against x."""
@@ -160,7 +160,7 @@ class _Linear:
         return against
 
 
-def _largest_eigenvalue(apply: Callable[[FloatArray], FloatArray], size: int) -> float:
+def largest_eigenvalue(apply: Callable[[FloatArray], FloatArray], size: int) -> float:
     """Largest eigenvalue of a symmetric operator on vectors of the given size, by Lanczos' iteration.
 
     Products of vectors are not left to the linear algebra library: it shares them among threads, which wait for each
