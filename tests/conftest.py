@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import pytest
 from hypothesis import settings
 
@@ -13,6 +15,9 @@ from lattice_gym.engines.registry import EngineName
 settings.register_profile("seeded", derandomize=True)
 settings.load_profile("seeded")
 
+
+# The compiler makes millions of objects: by looking for garbage less often it is a twelfth faster.
+gc.set_threshold(100_000, 50, 100)
 
 LONGEST = ("test_env", "test_tasks", "test_agents", "test_energy", "test_hill", "test_ball", "test_physics")
 """Files that begin first, so that no process is left alone with one of them at the end."""

@@ -46,11 +46,11 @@ GEARED = """
 class Geared(Twist):
     @classmethod
     def gait(cls, lattice, layout, command):
-        from lattice_gym.tasks.gait import hold
+        from lattice_gym.tasks.gait import constant_gait
 
         # Right-handed diagonals come first; they turn the top to the right, by 0.15 rad at full drive, others by 0.25.
         right, turn = np.arange(len(layout)) < len(layout) // 2, command["angle"]
-        return hold(np.where(right, max(-turn / 0.15, 0.0), max(turn / 0.23, 0.0)))
+        return constant_gait(np.where(right, max(-turn / 0.15, 0.0), max(turn / 0.23, 0.0)))
 """
 
 
