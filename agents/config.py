@@ -27,11 +27,17 @@ class InputError(ValueError):
     """Input that cannot be used; the command lines print it without a traceback."""
 
 
+class TaskError(InputError):
+    """Task that cannot be imported or used."""
+
+
 @contextmanager
 def input_errors() -> Iterator[None]:
     """Raise a ValueError of the body as an InputError."""
     try:
         yield
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(str(error)) from error
 
@@ -155,9 +161,11 @@ class TrainConfig(Settings):
 
     @property
     def task_class(self) -> type[Task]:
-        """The task itself."""
-        with input_errors():
+        """The task itself; raises TaskError if there is none of that name."""
+        try:
             return resolve_task(self.task)
+        except ValueError as error:
+            raise TaskError(str(error)) from error
 
     @property
     def resolved_control(self) -> Control:

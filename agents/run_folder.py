@@ -30,7 +30,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
-from agents.config import InputError, TrainConfig, input_errors
+from agents.config import InputError, TaskError, TrainConfig, input_errors
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import MuscleLayout, resolve_layout
@@ -285,5 +285,7 @@ def read_file(path: Path, read: Callable[[Path], T]) -> T:
         return read(path)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
+    except TaskError as error:  # the file is sound, the module of its task is elsewhere
+        raise TaskError(f"{path}: {error}") from error
     except Exception as error:
         raise InputError(f"{path}: damaged or not of this kind: {error}") from error

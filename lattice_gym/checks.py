@@ -98,7 +98,10 @@ def subclass(name: str, value: object, kind: type[T], known: Mapping[str, type[T
         try:
             found = resolve_name(found)
         except Exception as error:  # whatever the module raises
-            raise invalid_value(name, value, f"cannot be imported: {type(error).__name__}: {error}") from error
+            must = f"cannot be imported: {type(error).__name__}: {error}"
+            if isinstance(error, ModuleNotFoundError) and f"{found.split(':')[0]}.".startswith(f"{error.name}."):
+                must += "; put the folder that holds it on PYTHONPATH, or run from there"
+            raise invalid_value(name, value, must) from error
     if isinstance(found, type) and issubclass(found, kind):
         return found
     raise invalid_value(

@@ -148,7 +148,7 @@ def test_what_it_tells_of_its_command_is_checked(folder: Path) -> None:
     assert seen[worm.observation_slices["command"]] == [1.0]
     *_, info = env.step(np.zeros(96, dtype=np.float32))
     assert info["clipped_observations"] == 1
-    with pytest.raises(ValueError, match=r"^command: must give shape \(1, 1\), got \(1, 2\)"):
+    with pytest.raises(ValueError, match=r"^Wide.observe gave shape \(1, 2\): must .* = \(1, 1\); bounds = \(1.0,\)$"):
         gymnasium.make(ID, **SHORT | {"task": "twist:Wide"}).reset(seed=0)
 
 
@@ -194,11 +194,23 @@ def test_a_task_without_a_gait_is_scored_without_one(folder: Path) -> None:
         export(run, "gait")
 
 
+def test_a_run_whose_task_is_elsewhere(tmp_path: Path) -> None:
+    """Its files are sound, and the error says where Python looks."""
+    (tmp_path / "config.json").write_text('{"task": "nowhere:Twist"}')
+    for use in (evaluate, export):
+        with pytest.raises(InputError) as caught:
+            use(tmp_path)
+        assert str(caught.value) == (
+            f"{tmp_path / 'config.json'}: task = 'nowhere:Twist': cannot be imported: ModuleNotFoundError: No module "
+            "named 'nowhere'; put the folder that holds it on PYTHONPATH, or run from there"
+        )
+
+
 def test_a_task_that_is_not_there() -> None:
-    """One line says which."""
+    """One line says which, and where Python looks."""
     command = [sys.executable, "train.py", "--task", "nowhere:Twist"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode != 0
-    assert "task = 'nowhere:Twist': cannot be imported: ModuleNotFoundError" in " ".join(
-        (done.stdout + done.stderr).replace("│", " ").split()
-    )
+    text = " ".join((done.stdout + done.stderr).replace("│", " ").split())
+    assert "task = 'nowhere:Twist': cannot be imported: ModuleNotFoundError" in text
+    assert "put the folder that holds it on PYTHONPATH, or run from there" in text

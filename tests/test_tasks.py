@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -598,6 +599,87 @@ def test_what_is_no_task(task: Any, message: str) -> None:
     """The error says what would be one, or what is missing."""
     with pytest.raises(ValueError, match=message):
         resolve_task(task)
+
+
+def _stand(**members: Any) -> type[Task]:
+    """Task that stands, but for some members."""
+    return type("Odd", (Stand,), members)
+
+
+@pytest.mark.parametrize(
+    ("member", "value", "message"),
+    [
+        ("name", "", r"^Odd.name = '': must be a text of at least one character$"),
+        ("name", 3, r"^Odd.name = 3: must be a text"),
+        ("time_limit", 40.0, r"^Odd.time_limit = 40.0: must be a whole number of control steps, such as 40$"),
+        ("time_limit", 0, r"^Odd.time_limit = 0: must be a whole number"),
+        ("time_limit", -3, r"^Odd.time_limit = -3: must be a whole number"),
+        ("time_limit", True, r"^Odd.time_limit = True: must be a whole number"),
+        ("rewards", ["height"], r"^Odd.rewards = \['height'\]: must be a mapping of names to RewardTerm$"),
+        (
+            "rewards",
+            {"height": (1.0, 0.0, 1.0)},
+            r"^Odd.rewards\['height'\] = .*; use RewardTerm\(weight, low, high\)$",
+        ),
+        ("muscles", None, r"^Odd.muscles = None: must be a method; leave it out for the default$"),
+        ("observe", (1.0,), r"^Odd.observe = \(1.0,\): must be a method"),
+    ],
+)
+def test_values_that_no_task_can_have(member: str, value: Any, message: str) -> None:
+    """The error names the class, the value and the way out."""
+    with pytest.raises(ValueError, match=message):
+        resolve_task(_stand(**{member: value}))
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("over", "terminated"),
+        ("blank_memory", "initial_memory"),
+        ("surroundings", "world"),
+        ("reset", "initial_memory"),
+        ("observes", "observe"),
+        ("command_range", "command_ranges"),
+        ("init_memory", "initial_memory"),
+        ("muscle", "muscles"),
+    ],
+)
+def test_a_misspelt_part_is_told_once(written: str, meant: str) -> None:
+    """With the name that is meant."""
+    odd = _stand(**{written: lambda self: None})
+    with pytest.warns(UserWarning, match=rf"^Odd.{written} is no part of Task, .*: if {meant} is meant, rename it$"):
+        resolve_task(odd)
+    assert resolve_task(odd) is odd
+
+
+def test_names_of_its_own_are_a_tasks_own_matter() -> None:
+    """No warning for what resembles no part of a task."""
+    names = ("way", "target", "best", "distance", "angle", "record", "origin", "check_angle", "sign", "REACHED")
+    resolve_task(_stand(**dict.fromkeys(names, 1.0)))
+
+
+@pytest.mark.parametrize("value", [0.5, np.zeros(2), np.zeros((1, 1))])
+@pytest.mark.parametrize("method", ["terms", "outcome"])
+def test_a_method_must_give_a_number_a_worm(method: str, value: Any) -> None:
+    """The first step says which method does not, and what it gave."""
+    odd = _stand(**{method: lambda self, *arguments: {"height": value}})
+    env = LatticeWormEnv(odd, fidelity="fast")
+    env.reset(seed=0)
+    shape = re.escape(str(np.shape(value)))
+    with pytest.raises(
+        ValueError, match=rf"^Odd.{method}: 'height' has shape {shape}: must have \(1,\), one number a worm$"
+    ):
+        env.step(np.zeros(env.action_space.shape))
+
+
+def test_methods_that_give_nothing() -> None:
+    """As where a return was forgotten."""
+    env = LatticeWormEnv(_stand(outcome=lambda self, motion, worms: None), fidelity="fast")
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"^Odd.outcome = None: must be a mapping of names to arrays$"):
+        env.step(np.zeros(env.action_space.shape))
+    with pytest.raises(ValueError, match=r"^Odd.muscles = None: must be MuscleLayout; return one, or leave the method"):
+        LatticeWormEnv(_stand(muscles=classmethod(lambda cls, lattice: None)), fidelity="fast")
 
 
 def test_tasks_by_class_and_by_string() -> None:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.checks import FloatArray, IntArray, names
 from lattice_gym.engines.health import Health
 from lattice_gym.engines.registry import make_engine
 from lattice_gym.envs.measures import Measures
@@ -103,6 +103,7 @@ class Worms:
         self._tension_factor = None if scene.randomisation is None else np.ones((n_worm, n_muscle))
         self.observer = Observer(scene, self.task)
         self._max_reward, self._warned = _largest_reward(self.task), False
+        self._unchecked = {"terms", "outcome"}
 
     @property
     def group_activation(self) -> FloatArray:
@@ -150,8 +151,12 @@ class Worms:
     def outcome(self, worms: IntArray | None = None) -> dict[str, FloatArray]:
         """Return what the motion of some worms, by default of all, came to by now, shape (n,) each."""
         if worms is None:
-            return self.task.outcome(self.motion, np.arange(self.n_worm))
-        return self.task.outcome(self.motion.rows(worms), worms)
+            outcome = self.task.outcome(self.motion, np.arange(self.n_worm))
+        else:
+            outcome = self.task.outcome(self.motion.rows(worms), worms)
+        if "outcome" in self._unchecked:
+            self._check_rows("outcome", outcome, self.n_worm if worms is None else len(worms))
+        return outcome
 
     def observe(self) -> tuple[Observation, IntArray]:
         """Observations of all worms, and how many numbers of each were clipped, shape (n_worm,)."""
@@ -291,6 +296,8 @@ class Worms:
         lost = None if sound is None else np.flatnonzero(~sound)
         memory = {} if lost is None else self.task.copy_memory(lost)
         terms = self.task.reward_terms(self.motion, self.activation, self.sound_time)
+        if "terms" in self._unchecked:
+            self._check_rows("terms", terms, self.n_worm)
         terms[DIVERGENCE] = np.zeros(self.n_worm)
         if lost is not None:
             self.task.restore_memory(lost, memory)
@@ -298,6 +305,14 @@ class Worms:
                 values[lost] = 0.0
             terms[DIVERGENCE][self.failed if live is None else self.failed & live] = -self.task.penalty
         return terms
+
+    def _check_rows(self, method: str, values: Mapping[str, FloatArray], n: int) -> None:
+        """Refuse what a method of the task gives for n worms unless it is one number a worm; done at its first call."""
+        label = f"{type(self.task).__name__}.{method}"
+        for name, value in names(label, values, values, "arrays").items():
+            if np.shape(value) != (n,):
+                raise ValueError(f"{label}: {name!r} has shape {np.shape(value)}: must have ({n},), one number a worm")
+        self._unchecked.discard(method)
 
     def _check_reward(self, reward: FloatArray) -> None:
         """Warn once of rewards beyond the declared ranges, from which the penalty of a divergence is derived."""

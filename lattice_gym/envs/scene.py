@@ -106,7 +106,7 @@ class Scene:
         preset = named_fidelity(fidelity)
         self.design = preset.remesh(_design(design, self.task.design))
         self.lattice = build_lattice(self.design)
-        self.layout = self.task.muscles(self.lattice) if muscles is None else resolve_layout(muscles, self.lattice)
+        self.layout = self._own_muscles() if muscles is None else resolve_layout(muscles, self.lattice)
         self.groups = control_groups(control, self.layout, self.lattice)
         self.n_group = int(self.groups.max()) + 1
         self.world = resolve_world(world, self.task.world, self.lattice)
@@ -129,6 +129,11 @@ class Scene:
     def make_task(self, n_worm: int) -> Task:
         """Task of so many worms; its `rest` is that of the model until it is given the state that episodes start in."""
         return self.task(self.lattice, self.control_dt, model=self.model, n_worm=n_worm, **self._task_arguments)
+
+    def _own_muscles(self) -> MuscleLayout:
+        """Muscles that the task is meant for."""
+        label = f"{self.task.__name__}.muscles"
+        return instance(label, self.task.muscles(self.lattice), MuscleLayout, "; return one, or leave the method out")
 
     def _substeps(self, dt: object, allow_large_dt: bool) -> tuple[int, float]:
         """Physics steps in a control step, and their length [s]."""

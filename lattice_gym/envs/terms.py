@@ -158,7 +158,13 @@ class Command(ObservationTerm):
         self.low = -self.high
 
     def __call__(self, worms: Worms) -> FloatArray:
-        return worms.task.observe(worms.motion, worms.sound_time)
+        told = worms.task.observe(worms.motion, worms.sound_time)
+        if not self.stays_within and np.shape(told) != (worms.n_worm, self.size):
+            raise ValueError(
+                f"{type(worms.task).__name__}.observe gave shape {np.shape(told)}: must give (n_worm, len(bounds)) = "
+                f"{(worms.n_worm, self.size)}; bounds = {worms.task.bounds}"
+            )
+        return told
 
 
 @final

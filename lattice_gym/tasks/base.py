@@ -43,8 +43,6 @@ COMMAND_BOUND = 10.0
 """Bound of what a task adds to the observation."""
 CommandValues = Mapping[str, float | Sequence[float]]
 """Commanded numbers by name, or lists to draw one from."""
-PROGRESS_WEIGHT = 10.0
-"""Reward for progress by one body length: a hand-made gait earns ten times what its effort costs."""
 MAX_STRAIN = MAX_DILATATION + 1.0
 """Bound of the displacement of any point of a clamped body from rest [body lengths]: rods over-stretch sooner."""
 GOAL_SCALE = 0.2
@@ -59,7 +57,7 @@ class Command(NamedTuple):
     """Drawn uniformly from [low, high] where it is not given."""
     minimum: float
     maximum: float
-    """What may be given lies in [least, most], to rounding."""
+    """What may be given lies in [minimum, maximum], to rounding."""
     unit: str
     choices: tuple[float, ...] = ()
     """Where there are any, only these may be drawn or given."""

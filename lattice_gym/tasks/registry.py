@@ -5,14 +5,16 @@ from __future__ import annotations
 import pkgutil
 import warnings
 from collections.abc import Mapping
-from functools import partial
+from difflib import get_close_matches
+from functools import cache, partial
+from inspect import get_annotations
 from typing import Any
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import invalid_value, subclass
-from lattice_gym.tasks.base import Task
+from lattice_gym.checks import instance, invalid_value, names, subclass
+from lattice_gym.tasks.base import GoalTask, RewardTerm, Task
 from lattice_gym.tasks.bending import Bending
 from lattice_gym.tasks.compression import Compression
 from lattice_gym.tasks.crawl import Crawl
@@ -28,6 +30,13 @@ TASKS: dict[str, type[Task]] = {
 """Every task of this package by name."""
 NEEDED = ("name", "time_limit", "rewards")
 """What a task must state beside its methods."""
+OTHER_NAMES = {
+    "blank_memory": "initial_memory",
+    "over": "terminated",
+    "reset": "initial_memory",
+    "surroundings": "world",
+}
+"""Names that parts of a task once had, or have elsewhere, and those that they have here."""
 
 
 def resolve_task(task: object) -> type[Task]:
@@ -37,12 +46,42 @@ def resolve_task(task: object) -> type[Task]:
     ------
     ValueError
         Something else, a module that cannot be imported, or a class that lacks what a task must have.
+
+    Warns
+    -----
+    UserWarning
+        Once for each name of a class that is nearly a part of `Task`, but none.
     """
     kind = subclass("task", task, Task, TASKS)  # type: ignore[type-abstract]
     missing = [name for name in NEEDED if not hasattr(kind, name)] + sorted(kind.__abstractmethods__)
     if missing:
         raise invalid_value("task", task, f"lacks {', '.join(missing)}")
+    _check_class(kind)
     return kind
+
+
+@cache
+def _check_class(kind: type[Task]) -> None:
+    """Refuse values that cannot be those of a task, and warn of misspelt names; once for each class."""
+    label, limit = kind.__name__, kind.time_limit
+    if not isinstance(kind.name, str) or not kind.name:
+        raise invalid_value(f"{label}.name", kind.name, "must be a text of at least one character")
+    if not isinstance(limit, int) or isinstance(limit, bool) or limit < 1:
+        raise invalid_value(f"{label}.time_limit", limit, "must be a whole number of control steps, such as 40")
+    for name, term in names(f"{label}.rewards", kind.rewards, kind.rewards, "RewardTerm").items():
+        instance(f"{label}.rewards[{name!r}]", term, RewardTerm, "; use RewardTerm(weight, low, high)")
+    parts = {part for base in (Task, GoalTask) for part in {**vars(base), **get_annotations(base)} if part[0] != "_"}
+    for part in sorted(parts):
+        if callable(getattr(Task, part, None)) and not callable(found := getattr(kind, part)):
+            raise invalid_value(f"{label}.{part}", found, "must be a method; leave it out for the default")
+    own = [name for base in kind.__mro__ if issubclass(base, Task) for name in vars(base) if name[0] != "_"]
+    for name in dict.fromkeys(own):
+        near = [OTHER_NAMES[name]] if name in OTHER_NAMES else get_close_matches(name, parts, 1, 0.85)
+        if name not in parts and near:
+            warnings.warn(
+                f"{label}.{name} is no part of Task, so nothing uses it by itself: if {near[0]} is meant, rename it",
+                stacklevel=4,
+            )
 
 
 def task_label(task: type[Task]) -> str:
@@ -67,10 +106,10 @@ def design_for(task: str | type[Task], **changes: Any) -> LatticeDesign:
 def warn_of_dropped_values(design: LatticeDesign, task: type[Task]) -> None:
     """Warn of a design that has the default where the task has a value of its own, as if nobody had decided that."""
     default = LatticeDesign()
-    names = [name for name, own in task.design.items() if getattr(design, name) == getattr(default, name) != own]
-    if names:
+    dropped = [name for name, own in task.design.items() if getattr(design, name) == getattr(default, name) != own]
+    if dropped:
         has, own = (
-            ", ".join(f"{name} = {value(name)!r}" for name in names)
+            ", ".join(f"{name} = {value(name)!r}" for name in dropped)
             for value in (partial(getattr, design), task.design.__getitem__)
         )
         label = repr(task.name) if TASKS.get(task.name) is task else task.__name__

@@ -16,7 +16,7 @@ from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.measures import CentrelineProjection, centreline_projection, ring_radii
 from lattice_gym.physics.state import Motion
 from lattice_gym.physics.world import World
-from lattice_gym.tasks.base import COMMAND_BOUND, GOAL_SCALE, PROGRESS_WEIGHT, Command, RewardTerm, Task, quotient
+from lattice_gym.tasks.base import COMMAND_BOUND, GOAL_SCALE, Command, RewardTerm, Task, quotient
 from lattice_gym.tasks.gait import MAX_NUMBER, MIN_NUMBER, Gait, longitudinal, muscle_middles, required_commands
 
 CARRY_FREQUENCY, CARRY_WAVELENGTH, CARRY_VERTICAL_SHARE = 0.2, 0.5, 0.5
@@ -38,9 +38,9 @@ class Transport(Task):
     name = "transport"
     layout = "all"
     time_limit = 200
-    # In all: a ball goes no further than the height, and is lost once.
+    # 10 for a body length, as crawling earns. In all: a ball goes no further than the height, and is lost once.
     rewards: ClassVar[Mapping[str, RewardTerm]] = {
-        "progress": RewardTerm(PROGRESS_WEIGHT, -1.0, 1.0, per_episode=True),
+        "progress": RewardTerm(10.0, -1.0, 1.0, per_episode=True),
         "lost": RewardTerm(5.0, -1.0, 0.0, per_episode=True),
     }
     """A ball that is lost costs as much as it can gain, half a height."""
