@@ -9,6 +9,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
+from inspect import get_annotations
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, get_type_hints
@@ -16,9 +17,11 @@ from typing import Any, get_type_hints
 import gymnasium
 import pytest
 
+import lattice_gym
 from agents.command_line import options
 from agents.config import TrainConfig
 from lattice_gym.engines.registry import ENGINES
+from lattice_gym.tasks.base import Task
 
 pytestmark = pytest.mark.slow
 
@@ -27,6 +30,7 @@ DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
 EXAMPLES = sorted((DOCS / "examples").glob("*.py"))
 LINK = re.compile(r"\]\((?!https?:)([^)#]+)")
+PART = re.compile(r"`(\w+)(?:\(([^)]*)\))?`")
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -76,13 +80,15 @@ def test_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_names_beside_files_exist(page: Path) -> None:
     """In a row of a table names stand after the files that hold them, the last of them or an earlier one."""
+    bad = []
     for row in page.read_text().splitlines():
         modules: list[Any] = []
         for path, name in re.findall(r"\]\(\.\./([\w/]+\.py)\)|`([A-Za-z_][\w.]*)`", row if row[:1] == "|" else ""):
             if path:
                 modules.append(resolve_name(path.removesuffix(".py").replace("/", ".")))
-            elif modules:
-                assert any(has(module, name) for module in modules), row
+            elif modules and not any(has(module, name) for module in modules):
+                bad.append((name, row))
+    assert bad == []
 
 
 def has(module: object, name: str) -> bool:
@@ -92,6 +98,24 @@ def has(module: object, name: str) -> bool:
             return False
         module = inspect.getattr_static(module, part)
     return True
+
+
+def test_parts_of_a_task_exist() -> None:
+    """What the tables of a task's parts name is there, and methods take the arguments that are shown."""
+    tables = re.findall(r"^\| part \|.*\n((?:\|.*\n)+)", (DOCS / "tasks.md").read_text(), re.M)
+    shown = [part for table in tables for row in table.splitlines() for part in PART.findall(row.split("|")[1])]
+    assert len(shown) > 20
+    bad = []
+    for name, arguments in shown:
+        part = getattr(Task, name, None) or get_annotations(Task).get(name) or getattr(lattice_gym, name, None)
+        if part is None or (arguments and arguments.split(", ") != argument_names(part)):
+            bad.append(name)
+    assert bad == []
+
+
+def argument_names(method: Any) -> list[str]:
+    """Names of the arguments of a method, with the class or the object first."""
+    return list(inspect.signature(getattr(method, "__func__", method)).parameters)
 
 
 def test_every_law_has_its_row() -> None:
