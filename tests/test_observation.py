@@ -255,5 +255,8 @@ def test_wrappers_need_no_private_name() -> None:
     before = pickle.dumps(one.state)
     with pytest.raises(ValueError, match="read-only"):
         first.motion.position[:] = 0.0
+    for name in ("group_activation", "strength", "previous_action", "n_step", "sound_time", "failed"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(second, name)[0] = 1
     assert pickle.dumps(one.state) == before
     assert first.status() == second.status(1) == "ok"

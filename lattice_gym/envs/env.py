@@ -361,7 +361,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     @property
     def strength(self) -> FloatArray:
         """Strength of every active muscle now, over that of the design, shape (n_muscle,)."""
-        strength: FloatArray = self.worms.strength[0]
+        strength: FloatArray = self.worms.strength[0].copy()
         return strength
 
     @property
@@ -373,7 +373,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode at rest; options hold commanded numbers, by name, for this episode."""
-        super().reset(seed=optional(whole, "seed", seed, 0))
+        seed = optional(whole, "seed", seed, 0)
+        self.worms.task.check(options)  # Before the generator is seeded: a refused reset changes nothing.
+        super().reset(seed=seed)
         warn_of_time_limit(self.spec, self.scene.task, int(self.worms.n_step[0]))
         info = self.worms.begin(0, self.np_random, options)
         self._running = True

@@ -153,7 +153,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         resets = {worm: self._begin(worm) for worm in _worms(~live)}
         observation, step_info["clipped_observations"] = self.worms.observe()
         if self.scene.adaptation is not None:
-            step_info["strength"] = self.worms.strength
+            step_info["strength"] = self.worms.strength.copy()
         if self._mode is AutoresetMode.SAME_STEP and ended.any():
             infos = _mask_infos(step_info, live & ~ended) | self._final(observation, ended)
             infos["final_info"] = _mask_infos(step_info, ended) | _mask_infos({"outcome": outcome}, ended)
