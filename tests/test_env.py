@@ -346,10 +346,14 @@ def test_what_a_law_from_outside_gives_is_checked(
 ) -> None:
     """Where it gives it."""
     monkeypatch.setattr(Delayed, method, lambda self, *_: given_)
-    with pytest.raises(ValueError, match=message):
+
+    def play() -> None:
         env = LatticeWormEnv("extension", design=SMALL, muscles="all", activation=Delayed())
         env.reset(seed=0)
         env.step(np.ones(N_SMALL))
+
+    with pytest.raises(ValueError, match=message):
+        play()
 
 
 def test_a_law_from_outside_may_write_to_its_state(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -128,16 +128,15 @@ class Worms:
     @property
     def activation(self) -> FloatArray:
         """Activation of every active muscle, in [0, 1], shape (n_worm, n_muscle)."""
-        return self._activation[0].take(self.scene.groups, axis=-1)
+        activation: FloatArray = self._activation[0].take(self.scene.groups, axis=-1)
+        return activation
 
     @property
     def strength(self) -> FloatArray:
         """Strength by use of every active muscle over the design's, shape (n_worm, n_muscle); 1 without adaptation."""
-        return (
-            np.ones((self.n_worm, len(self.scene.groups)))
-            if self._strength is None
-            else _read_only(self._strength.factor)
-        )
+        if self._strength is None:
+            return np.ones((self.n_worm, len(self.scene.groups)))
+        return _read_only(self._strength.factor)
 
     @property
     def time(self) -> FloatArray:
