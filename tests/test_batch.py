@@ -178,7 +178,7 @@ def test_restore_and_replace(four: tuple[Engine, list[Simulation], RodModel]) ->
     engines[3].restore(kept)
     np.testing.assert_array_equal(batch.position[3], kept.position)
     other = soften(model, 0.7)
-    batch.replace(0, other)
+    batch.replace(-4, other)
     engines[0] = simulate("fused", other, DT, "symmetric")
     np.testing.assert_array_equal(batch.position[0], other.rest_state().position)
     assert set(assert_as_alone(batch, engines, pulls(model, 4, 2), 20)) == {Status.OK}

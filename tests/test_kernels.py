@@ -168,3 +168,27 @@ def test_kernels_use_nothing_from_elsewhere() -> None:
             if isinstance(function, ast.FunctionDef) and function.decorator_list:
                 read = {node.id for line in function.body for node in ast.walk(line) if isinstance(node, ast.Name)}
                 assert not read & foreign, (path.name, function.name)
+
+
+def test_other_code_keeps_its_own_cache(tmp_path: Path) -> None:
+    """The rule of this folder is not that of the process, even while its modules are being imported."""
+    (tmp_path / "foreign.py").write_text("def double(x):\n    return 2.0 * x\n")
+    use = """
+import threading
+from numba import njit
+from numba.core import config
+import foreign
+done = threading.Event()
+def loop():
+    while not done.is_set():
+        njit(cache=True)(foreign.double)(1.0)
+thread = threading.Thread(target=loop)
+thread.start()
+import lattice_gym.engines.fused.kernels.step
+done.set()
+thread.join()
+print(len(njit(cache=True)(foreign.double).stats.cache_path) > 0, config.CACHE_LOCATOR_CLASSES)
+"""
+    environment = {"PYTHONPATH": os.pathsep.join([str(PACKAGE.parent), str(tmp_path)]), "NUMBA_CACHE_DIR": ""}
+    assert python(use, tmp_path, environment).split(maxsplit=1)[0] == "True"
+    assert len(list((tmp_path / "__pycache__").glob("foreign.double*.nbc"))) == 1

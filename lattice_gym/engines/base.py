@@ -166,11 +166,11 @@ class Engine(ABC):
 
     def health(self, worm: int = 0) -> Health:
         """How a worm ended the last call to `advance`, and where it failed."""
-        return self._failures.get(range(self.n_worm)[worm], Health())
+        return self._failures.get(self._row(worm), Health())
 
     def state(self, worm: int = 0) -> RodState:
         """Copy the state of a worm, sound or not."""
-        return self._state(worm)
+        return self._state(self._row(worm))
 
     def restore(self, worm: int, state: RodState) -> None:
         """Set the state of a worm; it continues, to the last bit, as in the engine that the state came from.
@@ -180,6 +180,7 @@ class Engine(ABC):
         ValueError
             The state does not fit the model, is not finite, or has moved a clamped node.
         """
+        worm = self._row(worm)
         state.check(self.models[worm])
         self._restore(worm, state)
         self._show(worm, state)
@@ -195,6 +196,7 @@ class Engine(ABC):
         ValueError
             The model is of another shape.
         """
+        worm = self._row(worm)
         if (differs := difference_in_shape(self.models[worm], model)) is not None:
             raise ValueError(f"model: must have the shape of the one before, but differs in {differs}")
         self._replace(worm, model)
@@ -219,6 +221,10 @@ class Engine(ABC):
         None before the first call to `advance`, where either run failed, and without the check.
         """
         return self._comparisons[worm].error if self._comparisons else None
+
+    def _row(self, worm: int) -> int:
+        """Row of a worm, where negative ones count from the last; an IndexError where there is none."""
+        return range(self.n_worm)[worm]
 
     def close(self) -> None:
         """Give back threads; a later call to `advance` would begin new ones."""

@@ -6,7 +6,7 @@ import math
 import os
 from collections import defaultdict
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 import numpy as np
 
@@ -85,8 +85,10 @@ class FusedEngine(Engine):
                 codes[pack.rows] = pack.advance(start[pack.rows], end[pack.rows], n_substeps)
 
         # This thread works as well: to wake another takes as long as some steps.
-        others = [self._threads().submit(work) for _ in range(min(self.num_threads, len(packs)) - 1)]
+        others: list[Future[None]] = []
         try:
+            for _ in range(min(self.num_threads, len(packs)) - 1):
+                others.append(self._threads().submit(work))
             work()
             for other in others:
                 other.result()

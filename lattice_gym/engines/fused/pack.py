@@ -140,7 +140,7 @@ class Pack:
         As in `engines.base.Engine`; the check in a pack of one worm only.
     rows
         Row of each worm in `outputs`, shape (n_worm,).
-    shown
+    outputs
         Positions and velocities of the worms of all packs.
     """
 

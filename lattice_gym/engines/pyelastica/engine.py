@@ -32,11 +32,11 @@ class PyElasticaEngine(Engine):
         step_check: bool = False,
         num_threads: int | None = None,
     ) -> None:
+        if splitting == "symmetric":
+            raise invalid_value("splitting", splitting, "the pyelastica engine damps as PyElastica does; take fused")
         super().__init__(
             models, dt, splitting, energy_check=energy_check, step_check=step_check, num_threads=num_threads
         )
-        if splitting != "pyelastica":
-            raise invalid_value("splitting", splitting, "the pyelastica engine damps as PyElastica does; take fused")
         self._assemblies = [Assembly(model, self.dt, energy_check) for model in self.models]
         self._ends = [Health()] * self.n_worm
 

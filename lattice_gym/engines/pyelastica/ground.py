@@ -84,7 +84,9 @@ class _Friction(DamperBase[CosseratRod]):
         bound = self.reaction.normal * self._factor(direction)
         sticks = speed <= ground.static_friction * bound * self.kick
         kinetic = -ground.kinetic_friction * bound * direction
-        self.reaction.friction[:] = np.where(sticks, -slip / self.kick, kinetic)
+        # A node that damping stops within a step needs no friction.
+        stopping = np.divide(-slip, self.kick, out=np.zeros_like(slip), where=self.kick > 0.0)
+        self.reaction.friction[:] = np.where(sticks, stopping, kinetic)
         slip[:] = np.where(sticks, 0.0, slip + kinetic * self.kick)
 
     def _factor(self, direction: FloatArray) -> FloatArray:

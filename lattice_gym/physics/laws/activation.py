@@ -1,8 +1,8 @@
 """Activation dynamics: how a muscle follows its command.
 
 An activation a, from 0 to 1, follows the command u; the tension of a muscle is proportional to it. These laws act
-between control steps: a command is held, and each gives the exact answer after that time, so that the length of a
-control step changes nothing. A law from outside is a subclass of `Activation`, named "module:Class".
+between control steps: a command is held, and each gives the exact activation at the end of that time, however long it
+is. A law from outside is a subclass of `Activation`, named "module:Class".
 """
 
 from __future__ import annotations

@@ -43,11 +43,10 @@ them, so that the bound has to be this small."""
 MARGIN = 0.61
 """Elements of joined rods have contact only if at rest they are further apart than 1 + MARGIN times their radii.
 
-Nearer ones belong to the crossing, where contact is off; rods come 1.61 times nearer there before they touch. Without a
-margin the first elements beyond a crossing would touch as soon as it closes by any angle, and how much that stiffens it
-would depend on the mesh. Whole elements are left out, so the mesh still decides where beyond a crossing contact begins.
-It is no round number, as elements often lie at simple multiples of a radius, and rounding would decide which of them
-touch.
+Nearer ones belong to the crossing, where contact is off. Without a margin the first elements beyond a crossing would
+touch as soon as it closes by any angle, and how much that stiffens it would depend on the mesh. Whole elements are left
+out, so the mesh still decides where beyond a crossing contact begins. It is no round number, as elements often lie at
+simple multiples of a radius, and rounding would decide which of them touch.
 """
 
 MAX_DEPTH = 0.1

@@ -3,8 +3,8 @@
 Numba keeps machine code until the file of the function changes, though code of other files is compiled into it. Here
 it is kept until any file of this folder changes, by a hash of them all in the names of its files. (In a stamp inside
 them it would not do: numba reads a file before it compares stamps, and fails where a named tuple is no longer there.)
-Where it is kept is for numba to say: `NUMBA_CACHE_DIR`, else `__pycache__`, else the user's folder for caches. Who sets
-`NUMBA_CACHE_LOCATOR_CLASSES` has numba's own rule back.
+Where it is kept is for numba to say: `NUMBA_CACHE_DIR`, else `__pycache__`, else the user's folder for caches. With
+`NUMBA_CACHE_LOCATOR_CLASSES` numba takes the locators named there, and edits of a helper may run stale code.
 """
 
 from __future__ import annotations
@@ -15,18 +15,22 @@ from contextlib import suppress
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, ClassVar, TypeVar, cast
 
+import numpy as np
 from numba import njit
-from numba.core import caching, config
+from numba.core import caching
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 @cache
 def _folder_hash() -> str:
-    """Hash of every source file of this folder, as they stood when the first kernel was defined."""
-    folder, digest = resources.files(__package__), hashlib.sha256()
+    """Hash of every source file of this folder, as they stood when the first kernel was defined, and numpy's version.
+
+    Coefficients of series are made by numpy and compiled in.
+    """
+    folder, digest = resources.files(__package__), hashlib.sha256(np.__version__.encode())
     for name in sorted(file.name for file in folder.iterdir() if file.name.endswith(".py")):
         source = folder.joinpath(name).read_bytes()
         digest.update(f"{name} {len(source)} ".encode() + source)
@@ -36,10 +40,10 @@ def _folder_hash() -> str:
 @cache
 def _remove_outdated(folder: str) -> None:
     """Remove machine code of earlier versions of these files; no other file's code is kept in the same folder."""
-    with suppress(OSError):
-        for file in Path(folder).iterdir():
-            if file.suffix in (".nbi", ".nbc") and _folder_hash() not in file.name:
-                file.unlink(missing_ok=True)
+    for file in Path(folder).glob("*.nb[ic]"):
+        if _folder_hash() not in file.name:
+            with suppress(OSError):  # in use by another process, or not ours to remove
+                file.unlink()
 
 
 class _PerVersion:
@@ -71,18 +75,28 @@ class Zipped(_PerVersion, caching.ZipCacheLocator):
     """The user's folder for caches, where the package is in an archive."""
 
 
-_LOCATORS = ",".join(f"{__name__}.{kind.__name__}" for kind in (UserProvided, InTree, UserWide, Zipped))
+class _Files(caching.CompileResultCacheImpl):
+    """Files of machine code that are named by the hash of the sources."""
+
+    _locator_classes: ClassVar[list[type[object]]] = [UserProvided, InTree, UserWide, Zipped]
+
+
+class _Cache(caching.FunctionCache):
+    """Machine code of one function of this folder."""
+
+    _impl_class = _Files
 
 
 def _compile(function: Function, **options: Any) -> Function:
-    """Compile when first called. The locators are those of this function only: numba's setting holds for all code."""
-    settings: Any = config
-    before = settings.CACHE_LOCATOR_CLASSES
-    settings.CACHE_LOCATOR_CLASSES = before or _LOCATORS
-    try:
-        return cast(Function, njit(cache=True, error_model="numpy", **options)(function))
-    finally:
-        settings.CACHE_LOCATOR_CLASSES = before
+    """Compile when first called, and keep the machine code.
+
+    The cache is given to this one dispatcher: numba's setting of locators holds for the code of a whole process.
+    """
+    made: Any = njit(error_model="numpy", **options)(function)
+    if made is not function:  # as it is with NUMBA_DISABLE_JIT
+        files: Any = _Cache
+        made._cache = files(function)
+    return cast(Function, made)
 
 
 def compiled(function: Function) -> Function:

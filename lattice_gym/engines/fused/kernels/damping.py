@@ -22,7 +22,7 @@ from lattice_gym.physics.rod import Rod
 # Of y, (1 - exp(-y)) / y, exact to rounding up to y = 0.25:
 LARGE_DECAY = 0.25
 _TAIL = series(lambda y: -np.expm1(-y) / y, 8, LARGE_DECAY)
-# Spin damped to less than this share within a step is too slow to count; the bound keeps 1 / keep^4 finite.
+# Spin damped to less than this share within a step is too slow to count; the bound keeps 1 / keep^2 finite.
 _MIN_KEEP = 1e-70
 # A rate of damping this large leaves no speed worth counting; without the bound what it left would overflow.
 _MAX_RATE = 300.0

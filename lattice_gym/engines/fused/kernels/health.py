@@ -73,10 +73,8 @@ def inspect(
 ) -> tuple[int, int]:
     """Status code of a worm and its first element or joint at fault, or (0, -1) and it is written in its row.
 
-    Lines count on from the elements.
-    A failure of the ball has no element.
-
-    Where all elements are known to be `sound` they are not looked at.
+    Lines count on from the elements; a failure of the ball has no element, -1. Where all elements are known to be
+    `sound` they are not looked at.
     """
     min_dilatation, max_dilatation = worms.min_dilatation, worms.max_dilatation
     n_elem, n_joint = worms.cell.shape[1], worms.max_gap.shape[1]
