@@ -15,7 +15,7 @@ from contextlib import suppress
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba import njit
@@ -78,7 +78,7 @@ class Zipped(_PerVersion, caching.ZipCacheLocator):
 class _Files(caching.CompileResultCacheImpl):
     """Files of machine code that are named by the hash of the sources."""
 
-    _locator_classes: ClassVar[list[type[object]]] = [UserProvided, InTree, UserWide, Zipped]
+    _locator_classes = [UserProvided, InTree, UserWide, Zipped]  # noqa: RUF012, as numba has it
 
 
 class _Cache(caching.FunctionCache):
