@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -25,7 +26,7 @@ from agents.training import gather, load_model, load_normaliser, worm_seeds
 from lattice_gym.checks import choice, whole
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.tasks.gait import group_means
-from lattice_gym.tasks.registry import gait, has_gait
+from lattice_gym.tasks.registry import has_gait
 
 PolicyName = Literal["policy", "gait", "nothing", "random"]
 POLICIES: dict[PolicyName, str] = {
@@ -43,6 +44,10 @@ Policy = Callable[[Any], Action]
 """Observation -> action in [-1, 1]."""
 PolicyMaker = Callable[[Env, int], Policy]
 """(environment just reset, seed of the episode) -> what acts in this episode."""
+
+
+class NoGaitError(InputError):
+    """A task makes no gait for what is commanded."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +137,9 @@ def random_actions(env: Env, seed: int) -> Policy:
 def hand_made_gait(env: Env, _seed: int) -> Policy:
     """Play the task's open-loop gait; muscles that share an action get the mean over them."""
     worm: Any = env.unwrapped
-    activation = gait(type(worm.task), worm.lattice, worm.layout, worm.task.command)
+    activation = worm.task.gait(worm.lattice, worm.layout, worm.task.command)
+    if activation is None:
+        raise NoGaitError(f"policy = 'gait': {worm.task.name} has no gait for {worm.task.command}")
 
     def act(_observation: Any) -> Action:
         return (2.0 * group_means(activation(worm.time), worm.groups) - 1.0).astype(np.float32)
@@ -216,7 +223,8 @@ def evaluate(
             continue
         env = make_env(run.env_arguments)  # one each: muscles may carry over what an earlier episode did to them
         start = trained_policy(checkpoint, env) if name == "policy" else BASELINES[name]
-        scores[name] = score(env, start, seeds, partial(progress, title))
+        with suppress(NoGaitError):
+            scores[name] = score(env, start, seeds, partial(progress, title))
         env.close()
     report = {
         "made": run_folder.made_by(command),

@@ -21,7 +21,6 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 
 from lattice_gym.checks import invalid_value
 from lattice_gym.envs.vector import LatticeWormVectorEnv
-from lattice_gym.tasks.registry import resolve_task
 
 
 class WormVecEnv(VecEnv):
@@ -37,7 +36,7 @@ class WormVecEnv(VecEnv):
     Parameters
     ----------
     envs
-        What `gymnasium.make_vec` gives for an id of lattice worms, with `AutoresetMode.SAME_STEP`, or a wrapper of it.
+        A `LatticeWormVectorEnv` with `AutoresetMode.SAME_STEP`, or a wrapper of it.
 
     Raises
     ------
@@ -48,15 +47,15 @@ class WormVecEnv(VecEnv):
 
     def __init__(self, envs: VectorEnv[Any, Any, Any]) -> None:
         bare = envs.unwrapped if isinstance(envs, VectorEnv) else None
-        if not isinstance(bare, LatticeWormVectorEnv) or bare.spec is None:
-            raise invalid_value("envs", envs, "must be a LatticeWormVectorEnv that gymnasium.make_vec made")
+        if not isinstance(bare, LatticeWormVectorEnv):
+            raise invalid_value("envs", envs, "must be a LatticeWormVectorEnv, or a wrapper of one")
         if (mode := envs.metadata.get("autoreset_mode")) is not AutoresetMode.SAME_STEP:
             raise ValueError(f"envs: autoreset_mode must be AutoresetMode.SAME_STEP, got {mode}")
         self.envs: Any = envs
         assert isinstance(envs.single_action_space, spaces.Box)
         actions, _, self._commands = rescale_box(envs.single_action_space, np.float32(-1.0), np.float32(1.0))
         super().__init__(envs.num_envs, envs.single_observation_space, actions)
-        self._task = resolve_task(bare.spec.kwargs["task"])
+        self._task = bare.scene.task
         self._has_goals = isinstance(envs.single_observation_space, spaces.Dict)
         self._returns = np.zeros(self.num_envs)
         self._lengths = np.zeros(self.num_envs, dtype=np.int64)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -150,6 +151,13 @@ def test_laws_are_resolved() -> None:
         assert law.advance(law.rest(2), np.ones(2), 0.1).tolist() == [[0.0, 0.0], [1.0, 1.0]]
 
 
+@pytest.mark.parametrize("law", [FirstOrder(), Thelen(rise_time=0.2), Twitch(), Late()])
+def test_dict_forms_are_resolved(law: Activation) -> None:
+    """That of the law itself, and that which dataclasses, and so gymnasium, make of it."""
+    for form in (law.to_dict(), asdict(law)):
+        assert resolve_activation(json.loads(json.dumps(form)), LatticeDesign()) == law
+
+
 @pytest.mark.parametrize(
     ("wrong", "named"),
     [
@@ -163,6 +171,10 @@ def test_laws_are_resolved() -> None:
         ("math:pi", "activation law = 'math:pi': must be one of"),
         ("math:", "activation law = 'math:'"),
         (Thelen, "activation = "),
+        (
+            "lattice_gym.physics.laws.activation:Activation",
+            r"activation law = 'lattice_gym.physics.laws.activation:Activation': lacks advance",
+        ),
     ],
 )
 def test_wrong_laws_are_refused(wrong: Any, named: str) -> None:

@@ -290,9 +290,86 @@ def test_a_reward_beyond_what_is_declared_warns_once(kind: str) -> None:
     kwargs: dict[str, Any] = {"task": Humble, "design": SMALL, "reward_weights": {"effort": 0.0}}
     env: Any = LatticeWormEnv(**kwargs) if kind == "one" else LatticeWormVectorEnv(2, **kwargs)
     env.reset(seed=0)
-    with pytest.warns(UserWarning, match=r"^humble: a reward of size .* beyond the 2e-06 that its `rewards` declare"):
+    with pytest.warns(
+        UserWarning, match=r"^humble: a reward of .* beyond the -1e-06 to 1e-06 that its `rewards` declare"
+    ):
         env.step(np.ones(env.action_space.shape))
     env.step(np.ones(env.action_space.shape))
+
+
+def test_a_reward_on_the_wrong_side_warns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Even where its size is less than the width of the range; NaN is an error that names the term."""
+    env = LatticeWormEnv(Humble, design=SMALL)
+    env.reset(seed=0)
+    monkeypatch.setattr(Humble, "terms", lambda self, *_: {"strain": np.full(self.n_worm, np.nan)})
+    with pytest.raises(ValueError, match=r"^Humble.terms: 'strain' is NaN"):
+        env.step(np.zeros(env.action_space.shape))
+    monkeypatch.setattr(Humble, "terms", lambda self, *_: {"strain": np.full(self.n_worm, -0.5)})
+    monkeypatch.setattr(Humble, "rewards", {"strain": RewardTerm(1.0, 0.0, 1.0)})
+    env = LatticeWormEnv(Humble, design=SMALL)
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match=r"^humble: a reward of -0.5 .* beyond the -0.01 to 1 that"):
+        env.step(np.zeros(env.action_space.shape))
+
+
+def test_a_refused_reset_does_not_seed() -> None:
+    """The generator goes on as if nothing had been asked."""
+    one, other = (_env("LatticeWormReach-v0", design=SMALL) for _ in range(2))
+    for env in (one, other):
+        env.reset(seed=0)
+    with pytest.raises(ValueError, match="options"):
+        one.reset(seed=5, options={"nope": 1})
+    assert one.reset()[1] == other.reset()[1]
+
+
+@pytest.mark.parametrize("law", [FirstOrder(rise_time=0.02), Thelen(), Twitch(), Delayed()])
+def test_activation_laws_survive_json(law: Activation) -> None:
+    """Given as objects, of the package or not."""
+    made = gymnasium.make("LatticeWormExtension-v0", design=SMALL, activation=law)
+    assert made.spec is not None
+    again = gymnasium.make(EnvSpec.from_json(made.spec.to_json())).unwrapped
+    assert isinstance(again, LatticeWormEnv)
+    assert (type(again.scene.activation), again.scene.activation.to_dict()) == (type(law), law.to_dict())
+
+
+@pytest.mark.parametrize(
+    ("method", "given_", "message"),
+    [
+        ("advance", np.zeros(3), r"^Delayed.advance has shape \(3,\): must have \(2, 1, 21\)"),
+        ("advance", None, r"^Delayed.advance = None"),
+        ("rest", np.full((2, 1, 21), 2.0), r"^Delayed.rest: activations must stay from 0 to 1"),
+        ("rest", np.zeros((2, 21)), r"^Delayed.rest has shape \(2, 21\): must have \(2, 1, 21\)"),
+    ],
+)
+def test_what_a_law_from_outside_gives_is_checked(
+    method: str, given_: Any, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where it gives it."""
+    monkeypatch.setattr(Delayed, method, lambda self, *_: given_)
+
+    def play() -> None:
+        env = LatticeWormEnv("extension", design=SMALL, muscles="all", activation=Delayed())
+        env.reset(seed=0)
+        env.step(np.ones(N_SMALL))
+
+    with pytest.raises(ValueError, match=message):
+        play()
+
+
+def test_a_law_from_outside_may_write_to_its_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is given a copy."""
+
+    def advance(_: Activation, state: FloatArray, command: FloatArray, duration: float) -> FloatArray:
+        state[0] = command
+        return state
+
+    monkeypatch.setattr(Delayed, "advance", advance)
+    env = LatticeWormEnv("extension", design=SMALL, activation=Delayed())
+    env.reset(seed=0)
+    before = env.worms.group_activation
+    env.step(np.ones(env.action_space.shape))
+    assert before.max() == 0.0
+    assert env.activation.min() == 1.0
 
 
 def test_state_does_not_survive_reset() -> None:

@@ -108,6 +108,14 @@ def test_registering(folder: Path) -> None:
         lattice_gym.register_task("twist:Turn", "Turn-v0")
     with pytest.raises(ValueError, match=r"^goals = True: twist is no GoalTask"):
         lattice_gym.register_task(TASK, "TwistGoal-v0", goals=True)
+    wrong: Any
+    for wrong in (3, None):
+        with pytest.raises(ValueError, match=rf"^id = {wrong}: must be a text"):
+            lattice_gym.register_task(TASK, wrong)
+        with pytest.raises(ValueError, match=rf"^goals = {wrong}: must be True or False"):
+            lattice_gym.register_task(TASK, "Twist-v1", goals=wrong)
+    with pytest.raises(ValueError, match=r"^task = .*: is a class of __main__, .*; put it in a module of its own"):
+        lattice_gym.register_task(type("Main", (Twist,), {"__module__": "__main__"}), "Main-v0")
     lattice_gym.register_task("crawl", "LatticeWormCrawl-v0")
 
 
@@ -183,14 +191,20 @@ def test_learning(folder: Path) -> None:
     assert files.learning_curve.exists()
 
 
-def test_a_task_without_a_gait_is_scored_without_one(folder: Path) -> None:
-    """And its gait cannot be filmed."""
+def test_a_task_without_a_gait_is_scored_without_one(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And its gait cannot be filmed; nor where it has a method for one that gives none."""
     config = TrainConfig(
         task=TASK, fidelity="fast", total_steps=40, n_envs=1, n_steps=40, batch_size=40, run_dir=folder / "run"
     )
     run = train(config)
     assert evaluate(run, episodes=1).keys() == {"policy", "nothing", "random"}
     with pytest.raises(InputError, match=r"^policy = 'gait': twist:Twist has no gait"):
+        export(run, "gait")
+    from twist import Twist
+
+    monkeypatch.setattr(Twist, "gait", classmethod(lambda cls, lattice, layout, command: None))
+    assert evaluate(run, episodes=1).keys() == {"policy", "nothing", "random"}
+    with pytest.raises(InputError, match=r"^policy = 'gait': twist has no gait for \{'angle': "):
         export(run, "gait")
 
 

@@ -59,6 +59,19 @@ class Unbounded(Far):
         self.low, self.high = np.array([-np.inf]), np.array([1.0])
 
 
+class Huge(Unbounded):
+    """With a bound that float32 cannot hold."""
+
+    name = "huge"
+
+    def __init__(self, scene: Scene) -> None:
+        self.low, self.high = np.array([0.0]), np.array([1e300])
+
+
+class Nameless(ObservationTerm):
+    """Without a name and numbers."""
+
+
 def _crawler(**kwargs: Any) -> LatticeWormEnv:
     return LatticeWormEnv("crawl", fidelity="fast", control="ring", **ALL, **kwargs)
 
@@ -181,7 +194,9 @@ def test_specs_survive_json() -> None:
         ({"observation": ["strength"]}, r'^observation: "strength" needs an adaptation; without one it is 1'),
         ({"observation": ["sites"], "adaptation": {"observed": True}}, r"^adaptation.observed = True: is not observed"),
         ({"observation": ["ground_contact"]}, r'^observation: "ground_contact" needs a ground'),
-        ({"observation": [Unbounded]}, r"^Unbounded: low and high must be finite"),
+        ({"observation": [Unbounded]}, r"^Unbounded: low and high must be arrays .* finite as float32"),
+        ({"observation": [Huge]}, r"^Huge: low and high must be arrays .* finite as float32"),
+        ({"observation": ["sites", Nameless]}, r"^observation\[1\] = .*Nameless'>: lacks name, __call__$"),
     ],
 )  # fmt: skip
 def test_wrong_lists(kwargs: dict[str, Any], message: str) -> None:
@@ -200,6 +215,8 @@ def test_wrong_lists(kwargs: dict[str, Any], message: str) -> None:
 def test_wrong_terms(wrong: Any, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one's own are named where they are observed."""
     monkeypatch.setattr(Far, "wrong", wrong)
+    if np.shape(wrong) != (1, 2):
+        monkeypatch.setattr(Far, "stays_within", True)
     env = LatticeWormEnv("extension", design=SMALL, observation=[Far])
     with pytest.raises(ValueError, match=message):
         env.reset(seed=0)
@@ -255,5 +272,8 @@ def test_wrappers_need_no_private_name() -> None:
     before = pickle.dumps(one.state)
     with pytest.raises(ValueError, match="read-only"):
         first.motion.position[:] = 0.0
+    for name in ("group_activation", "strength", "previous_action", "n_step", "sound_time", "failed"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(second, name)[0] = 1
     assert pickle.dumps(one.state) == before
     assert first.status() == second.status(1) == "ok"

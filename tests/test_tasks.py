@@ -811,27 +811,31 @@ def test_a_design_that_drops_a_value_is_told() -> None:
     )
     for design in (
         design_for("transport", elements_per_segment=2),
+        design_for("transport", elements_per_segment=2, max_tension=0.5),
         LatticeDesign(max_tension=0.9),
         {"max_tension": 0.5},
     ):
         LatticeWormEnv("transport", design, fidelity="fast")
+    misspelt = type("Misspelt", (TASKS["extension"],), {"name": "misspelt", "design": {"hight": 0.3}})
+    for either in (LatticeDesign(), None):
+        with pytest.raises(ValueError, match="there is no 'hight'; there are"):
+            LatticeWormEnv(misspelt, either)
 
 
 @pytest.mark.parametrize("many", [False, True])
 def test_an_id_with_another_time_limit_is_told_once(many: bool) -> None:
-    """Unless it was given by hand: of one worm when the registered limit has ended its first episode."""
+    """Unless it was given by hand: of one worm at the end of the first episode that the registered limit has ended."""
 
     class Nod(Stand):
         """Told of once in a process, hence a class of its own."""
 
     def play(steps: int, **arguments: Any) -> None:
-        """Play an episode and begin another."""
+        """Play one episode."""
         make: Any = gymnasium.make_vec if many else gymnasium.make
         env = make("LatticeWorm-v0", task=Nod, fidelity="fast", control_dt=0.005, **arguments)
         env.reset(seed=0)
         for _ in range(steps):
             env.step(np.zeros(env.action_space.shape))
-        env.reset()
         env.close()
 
     play(40, max_episode_steps=40)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import pickle
 import re
 from collections.abc import Callable
@@ -417,6 +418,29 @@ def test_a_single_worm_is_the_single_environment() -> None:
     one, other = native.step(action), single.step(action[0])
     np.testing.assert_array_equal(one[0][0], other[0])
     assert one[1][0] == other[1]
+
+
+def test_attributes_of_one_are_those_of_many() -> None:
+    """And both name all arguments, and refuse others alike."""
+    one, many = LatticeWormEnv("extension", **QUICK), LatticeWormVectorEnv(2, task="extension", **QUICK)
+    for name in ("design", "layout", "world", "adaptation", "control_dt", "dt", "n_substeps", "splitting"):
+        assert getattr(one, name) == getattr(many, name)
+    assert type(one.task) is type(many.task)
+    np.testing.assert_array_equal(one.groups, many.groups)
+    np.testing.assert_array_equal(one.model.rest_state().position, many.model.rest_state().position)
+    assert (one.lattice.n_rod, one.observation_slices) == (many.lattice.n_rod, many.observation_slices)
+    for vector in (many.activation, many.strength):
+        assert vector.shape == (2, *one.groups.shape)
+    assert many.time.tolist() == [one.time] * 2 == [0.0, 0.0]
+    kind: Any
+    for kind, first in ((LatticeWormEnv, "task"), (LatticeWormVectorEnv, "num_envs")):
+        named = list(inspect.signature(kind).parameters)
+        assert named[0] == first
+        assert {"task", "design", "activation", "render_mode"} < set(named)
+        assert not {"goals_apart", "arguments"} & set(named)
+        for wrong in ("foo", "goals_apart"):
+            with pytest.raises(ValueError, match=rf"^there is no argument '{wrong}'; there are {first}, .*randomise"):
+                kind(**{wrong: 1})
 
 
 @pytest.mark.parametrize("copied", [pickle.dumps, copy.copy, copy.deepcopy])

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.checks import FloatArray, IntArray, names
+from lattice_gym.checks import FloatArray, IntArray, array, names
 from lattice_gym.engines.health import Health
 from lattice_gym.engines.registry import make_engine
 from lattice_gym.envs.measures import Measures
@@ -20,14 +20,16 @@ from lattice_gym.envs.scene import Scene
 from lattice_gym.physics.laws.activation import ACTIVATIONS
 from lattice_gym.physics.measures import muscle_strain
 from lattice_gym.physics.state import Motion, RodState
-from lattice_gym.tasks.base import DIVERGENCE, EFFORT, Task
+from lattice_gym.tasks.base import DIVERGENCE, EFFORT, RewardTerm, Task
 
 Mask = npt.NDArray[np.bool_]
 """One bool a worm, shape (n_worm,)."""
 
+Scalar = TypeVar("Scalar", bound=np.generic)
+
 OK = str(Health())
 ROUNDING = 1e-9
-"""Share by which a sum of terms that reach their bounds may be above the sum of these."""
+"""Share of the largest declared reward by which a sum of terms may leave its bounds."""
 
 
 class Step(NamedTuple):
@@ -69,14 +71,6 @@ class Worms:
     motion : Motion
         Positions and velocities of nodes and balls, as of each worm's last sound moment. Read-only arrays that change
         with every step: copy what is to be kept.
-    previous_action : array
-        Commands of the last step, as clipped, 0 at the start of an episode, shape (n_worm, n_group).
-    n_step : array
-        Control steps since each episode began, shape (n_worm,), one that failed included.
-    sound_time : array
-        Time since each episode began of what `motion` shows [s], shape (n_worm,): that of the last sound step.
-    failed : array
-        Whose physics failed in its last step, shape (n_worm,).
     observer : Observer
         What is observed: terms, their slices, and the space.
     engine : Engine
@@ -93,38 +87,61 @@ class Worms:
         self._models, self._num_threads = [scene.model] * n_worm, num_threads
         self._start_engine([scene.start] * n_worm)
         self._saved_states = [scene.start] * n_worm if keep_state else None
-        self._activation = scene.activation.rest((n_worm, scene.n_group))
         self._foreign_law = type(scene.activation) not in ACTIVATIONS.values()
-        self.previous_action = np.zeros((n_worm, scene.n_group))
-        self.n_step, self.sound_time = np.zeros(n_worm, dtype=np.int64), np.zeros(n_worm)
-        self.failed = np.zeros(n_worm, dtype=np.bool_)
+        self._activation = self._rest((n_worm, scene.n_group))
+        self._previous_action = np.zeros((n_worm, scene.n_group))
+        self._n_step, self._sound_time = np.zeros(n_worm, dtype=np.int64), np.zeros(n_worm)
+        self._failed = np.zeros(n_worm, dtype=np.bool_)
         n_muscle = len(scene.groups)
         self._strength = None if scene.adaptation is None else scene.adaptation.initial((n_worm, n_muscle))
         self._tension_factor = None if scene.randomisation is None else np.ones((n_worm, n_muscle))
         self.observer = Observer(scene, self.task)
-        self._max_reward, self._warned = _largest_reward(self.task), False
+        self._least_reward, self._most_reward = _reward_bounds(self.task)
+        self._warned = False
         self._unchecked = {"terms", "outcome"}
 
     @property
     def group_activation(self) -> FloatArray:
         """Activation of every control group, in [0, 1], shape (n_worm, n_group)."""
-        activation: FloatArray = self._activation[0]
-        return activation
+        return _read_only(self._activation[0])
+
+    @property
+    def previous_action(self) -> FloatArray:
+        """Commands of the last step, as clipped, 0 at the start of an episode, shape (n_worm, n_group)."""
+        return _read_only(self._previous_action)
+
+    @property
+    def n_step(self) -> IntArray:
+        """Control steps since each episode began, shape (n_worm,), one that failed included."""
+        return _read_only(self._n_step)
+
+    @property
+    def sound_time(self) -> FloatArray:
+        """Time since each episode began of what `motion` shows [s], shape (n_worm,): that of the last sound step."""
+        return _read_only(self._sound_time)
+
+    @property
+    def failed(self) -> Mask:
+        """Whose physics failed in its last step, shape (n_worm,)."""
+        return _read_only(self._failed)
 
     @property
     def activation(self) -> FloatArray:
         """Activation of every active muscle, in [0, 1], shape (n_worm, n_muscle)."""
-        return self.group_activation.take(self.scene.groups, axis=-1)
+        activation: FloatArray = self._activation[0].take(self.scene.groups, axis=-1)
+        return activation
 
     @property
     def strength(self) -> FloatArray:
         """Strength by use of every active muscle over the design's, shape (n_worm, n_muscle); 1 without adaptation."""
-        return np.ones((self.n_worm, len(self.scene.groups))) if self._strength is None else self._strength.factor
+        if self._strength is None:
+            return np.ones((self.n_worm, len(self.scene.groups)))
+        return _read_only(self._strength.factor)
 
     @property
     def time(self) -> FloatArray:
         """Time since each episode began [s], at the end of its last step, be it one that failed, shape (n_worm,)."""
-        return np.asarray(self.n_step * self.scene.control_dt, dtype=np.float64)
+        return np.asarray(self._n_step * self.scene.control_dt, dtype=np.float64)
 
     @property
     def measures(self) -> Measures:
@@ -146,7 +163,7 @@ class Worms:
 
     def status(self, worm: int = 0) -> str:
         """Return "ok", or what went wrong in the last step of a worm and where."""
-        return str(self.engine.health(worm)) if self.failed[worm] else OK
+        return str(self.engine.health(worm)) if self._failed[worm] else OK
 
     def outcome(self, worms: IntArray | None = None) -> dict[str, FloatArray]:
         """Return what the motion of some worms, by default of all, came to by now, shape (n,) each."""
@@ -178,9 +195,9 @@ class Worms:
         """
         scene = self.scene
         self.task.begin(generator, options, worm)
-        self._activation[:, worm] = scene.activation.rest(scene.n_group)
-        self.previous_action[worm] = 0.0
-        self.n_step[worm], self.sound_time[worm], self.failed[worm] = 0, 0.0, False
+        self._activation[:, worm] = self._rest((scene.n_group,))
+        self._previous_action[worm] = 0.0
+        self._n_step[worm], self._sound_time[worm], self._failed[worm] = 0, 0.0, False
         info: dict[str, Any] = {"command": self.task.command_of(worm), "status": OK}
         if scene.randomisation is not None and self._tension_factor is not None:
             factors = scene.randomisation.draw(generator, len(scene.groups))
@@ -192,7 +209,7 @@ class Worms:
         if scene.adaptation is not None and self._strength is not None:
             strength = scene.adaptation.at_reset(self._strength.row(worm))
             self._strength = self._strength.where(np.arange(self.n_worm) == worm, strength)
-            info["strength"] = self._strength.factor[worm]
+            info["strength"] = self._strength.factor[worm].copy()
         return info
 
     def step(self, command: FloatArray, live: Mask | None = None) -> Step:
@@ -206,12 +223,15 @@ class Worms:
         command
             One number in [0, 1] for every control group, shape (n_worm, n_group).
         live
-            Worms that step; None: all. The others do not move and get no reward.
+            Worms that step; None: all. The others get no reward and no time; how they move is undefined until they
+            begin anew.
         """
         scene, before = self.scene, self._activation
-        after = scene.activation.advance(before, command, scene.control_dt)
-        if self._foreign_law and not ((after[0] >= 0.0) & (after[0] <= 1.0)).all():
-            raise ValueError(f"{type(scene.activation).__name__}.advance: activations must stay from 0 to 1")
+        if self._foreign_law:
+            after = scene.activation.advance(before.copy(), command.copy(), scene.control_dt)
+            after = self._check_activation("advance", after, before.shape)
+        else:
+            after = scene.activation.advance(before, command, scene.control_dt)
         active = np.array([before[0], after[0]]).take(scene.groups, axis=-1)
         tension = scene.design.max_tension * active
         use_factor = None if self._strength is None else self._strength.factor
@@ -220,23 +240,23 @@ class Worms:
             self.task.strength = math.prod(factors[1:], start=factors[0])
             tension *= self.task.strength
         sound = self._advance(tension, live)
-        self.n_step += 1 if live is None else live
+        self._n_step += 1 if live is None else live
         if whole := bool(sound.all()):
-            self.failed[:] = False
-            self.sound_time, self._activation, self.previous_action = self.time, after, command.copy()
+            self._failed[:] = False
+            self._sound_time, self._activation, self._previous_action = self.time, after, command.copy()
         else:
-            self.failed = ~sound if live is None else np.where(live, ~sound, self.failed)
-            self.sound_time = np.where(sound, self.time, self.sound_time)
+            self._failed = ~sound if live is None else np.where(live, ~sound, self._failed)
+            self._sound_time = np.where(sound, self.time, self._sound_time)
             self._activation = np.where(sound[:, None], after, before)
-            self.previous_action = np.where(sound[:, None], command, self.previous_action)
+            self._previous_action = np.where(sound[:, None], command, self._previous_action)
         if scene.adaptation is not None and self._strength is not None:
             mean, strain = 0.5 * (active[0] + active[1]), muscle_strain(scene.model, self.motion.position)
             strength = scene.adaptation.advance(self._strength, mean, tension.mean(axis=0), strain, scene.control_dt)
             self._strength = self._strength.where(sound, strength)
         terms, terminated = self._reward_terms(None if whole else sound, live), self.task.terminated(self.motion)
         reward: FloatArray = np.asarray(sum(terms.values()))
-        self._check_reward(reward if whole else reward[sound])
-        terminated = terminated | self.failed
+        self._check_reward(reward if whole else reward[sound], terms)
+        terminated = terminated | self._failed
         return Step(terms, reward, terminated if live is None else terminated & live)
 
     def close(self) -> None:
@@ -277,7 +297,7 @@ class Worms:
         if live is not None and not live.all():
             if not live.any():
                 return live.copy()
-            for worm in (self.failed & ~live).nonzero()[0].tolist():
+            for worm in (self._failed & ~live).nonzero()[0].tolist():
                 self.engine.restore(worm, self.scene.start)
             tension[:, ~live] = 0.0
         sound: Mask = self.engine.advance(tension, self.scene.n_substeps) == 0
@@ -295,7 +315,7 @@ class Worms:
         """Reward terms of the step that ends, shape (n_worm,) each; None: all worms are sound."""
         lost = None if sound is None else np.flatnonzero(~sound)
         memory = {} if lost is None else self.task.copy_memory(lost)
-        terms = self.task.reward_terms(self.motion, self.activation, self.sound_time)
+        terms = self.task.reward_terms(self.motion, self.activation, self._sound_time)
         if "terms" in self._unchecked:
             self._check_rows("terms", terms, self.n_worm)
         terms[DIVERGENCE] = np.zeros(self.n_worm)
@@ -303,8 +323,22 @@ class Worms:
             self.task.restore_memory(lost, memory)
             for values in terms.values():
                 values[lost] = 0.0
-            terms[DIVERGENCE][self.failed if live is None else self.failed & live] = -self.task.penalty
+            terms[DIVERGENCE][self._failed if live is None else self._failed & live] = -self.task.penalty
         return terms
+
+    def _rest(self, shape: tuple[int, ...]) -> FloatArray:
+        """State of muscles long at rest, shape (n_state, *shape)."""
+        law = self.scene.activation
+        rest = law.rest(shape)
+        return self._check_activation("rest", rest, (law.n_state, *shape)) if self._foreign_law else rest
+
+    def _check_activation(self, method: str, state: object, shape: tuple[int, ...]) -> FloatArray:
+        """Copy of a state that a law from outside gives; a ValueError where it is none."""
+        label = f"{type(self.scene.activation).__name__}.{method}"
+        checked: FloatArray = array(label, state, shape)  # type: ignore[arg-type]
+        if not ((checked[0] >= 0.0) & (checked[0] <= 1.0)).all():
+            raise ValueError(f"{label}: activations must stay from 0 to 1")
+        return checked
 
     def _check_rows(self, method: str, values: Mapping[str, FloatArray], n: int) -> None:
         """Refuse what a method of the task gives for n worms unless it is one number a worm; done at its first call."""
@@ -314,28 +348,43 @@ class Worms:
                 raise ValueError(f"{label}: {name!r} has shape {np.shape(value)}: must have ({n},), one number a worm")
         self._unchecked.discard(method)
 
-    def _check_reward(self, reward: FloatArray) -> None:
-        """Warn once of rewards beyond the declared ranges, from which the penalty of a divergence is derived."""
-        worst = max(map(abs, reward.tolist()), default=0.0)
-        if worst <= self._max_reward or self._warned:
+    def _check_reward(self, reward: FloatArray, terms: Mapping[str, FloatArray]) -> None:
+        """Refuse NaN, and warn once of rewards beyond the declared ranges, which set the penalty of a divergence."""
+        values, least, most = reward.tolist(), self._least_reward, self._most_reward
+        if all(least <= value <= most for value in values):
+            return
+        for name, value in terms.items():
+            if np.isnan(value).any():
+                raise ValueError(f"{type(self.task).__name__}.terms: {name!r} is NaN")
+        if self._warned:
             return
         self._warned = True
+        worst = max(values, key=lambda value: max(value - most, least - value))
         warnings.warn(
-            f"{self.task.name}: a reward of size {worst:g} in one control step, beyond the {self._max_reward:g} that "
+            f"{self.task.name}: a reward of {worst:g} in one control step, beyond the {least:g} to {most:g} that "
             f"its `rewards` declare; a divergence, which costs {self.task.penalty:g}, may pay more than a sound "
             "episode: widen the ranges of its reward terms",
             stacklevel=4,
         )
 
 
-def _largest_reward(task: Task) -> float:
-    """Largest size of a reward in one control step, by the ranges that the task declares, and to rounding."""
-    own = math.fsum(term.span(1, task.weights[name]) for name, term in task.rewards.items())
-    return (own + abs(task.weights[EFFORT])) * (1.0 + ROUNDING)
+def _reward_bounds(task: Task) -> tuple[float, float]:
+    """Least and largest reward of one control step, by the ranges that the task declares, and to rounding."""
+    ends = [(0.0, 0.0)]
+    for name, term in (*task.rewards.items(), (EFFORT, RewardTerm(task.weights[EFFORT], -1.0, 0.0))):
+        if term.per_episode:  # A step is the difference of two sums, each within the range.
+            span = term.span(1, task.weights[name]) if task.weights[name] else 0.0
+            ends.append((-span, span))
+        elif task.weights[name]:
+            low, high = sorted((task.weights[name] * term.low, task.weights[name] * term.high))
+            ends.append((low, high))
+    least, most = sum(min(low, 0.0) for low, _ in ends), sum(max(high, 0.0) for _, high in ends)
+    slack = ROUNDING * max((size for size in (-least, most) if math.isfinite(size)), default=0.0)
+    return least - slack, most + slack
 
 
-def _read_only(array: FloatArray) -> FloatArray:
+def _read_only(values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
     """View of an array that cannot be written to."""
-    view = array.view()
+    view = values.view()
     view.flags.writeable = False
     return view

@@ -12,18 +12,19 @@ from gymnasium import spaces
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.checks import FloatArray, IntArray, choice, optional, whole
+from lattice_gym.envs.attributes import SceneAttributes
 from lattice_gym.envs.core import Worms
 from lattice_gym.envs.observation import Observation
 from lattice_gym.envs.pictures import RENDER_MODES, Pictures
 from lattice_gym.envs.registration import warn_of_time_limit
-from lattice_gym.envs.scene import Scene
+from lattice_gym.envs.scene import Scene, takes_scene_arguments
 from lattice_gym.physics.state import RodState
 from lattice_gym.tasks.base import Task
 
 METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20.0}
 
 
-class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
+class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     """A soft worm of crossing helical rods, driven by muscles between the crossings.
 
     ## Description
@@ -320,6 +321,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     action_space: spaces.Box[np.float32]
     observation_space: spaces.Space[Any]
 
+    @takes_scene_arguments
     def __init__(
         self,
         task: str | type[Task] | None = None,
@@ -331,21 +333,11 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self.render_mode = optional(choice, "render_mode", render_mode, RENDER_MODES)
         self.scene = scene = Scene(task, design, goals_apart=self._goals_apart, **arguments)
         self.worms = Worms(scene, keep_state=True)
-        self.task = self.worms.task
-        self.design, self.lattice, self.layout, self.world = scene.design, scene.lattice, scene.layout, scene.world
-        self.model, self.groups, self.adaptation = scene.model, scene.groups, scene.adaptation
-        self.control_dt, self.dt, self.n_substeps = scene.control_dt, scene.dt, scene.n_substeps
-        self.splitting = scene.splitting
         self.metadata = {**METADATA, "render_fps": 1.0 / self.control_dt}
         self.action_space = spaces.Box(0.0, 1.0, (scene.n_group,), np.float32)
         self.observation_space = self.worms.observer.space
         self._pictures = Pictures(self.worms)
         self._running = False
-
-    @property
-    def observation_slices(self) -> dict[str, slice]:
-        """Where each term stands in the (flat) observation, by name."""
-        return dict(self.worms.observer.slices)
 
     @property
     def state(self) -> RodState:
@@ -361,7 +353,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     @property
     def strength(self) -> FloatArray:
         """Strength of every active muscle now, over that of the design, shape (n_muscle,)."""
-        strength: FloatArray = self.worms.strength[0]
+        strength: FloatArray = self.worms.strength[0].copy()
         return strength
 
     @property
@@ -373,7 +365,9 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode at rest; options hold commanded numbers, by name, for this episode."""
-        super().reset(seed=optional(whole, "seed", seed, 0))
+        seed = optional(whole, "seed", seed, 0)
+        self.worms.task.check(options)  # Before the generator is seeded: a refused reset changes nothing.
+        super().reset(seed=seed)
         warn_of_time_limit(self.spec, self.scene.task, int(self.worms.n_step[0]))
         info = self.worms.begin(0, self.np_random, options)
         self._running = True
@@ -406,6 +400,7 @@ class LatticeWormEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def close(self) -> None:
         """Free the renderer and threads."""
+        warn_of_time_limit(self.spec, self.scene.task, int(self.worms.n_step[0]))
         self._pictures.close()
         self.worms.close()
 

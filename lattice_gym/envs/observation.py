@@ -48,6 +48,10 @@ def resolve_terms(observation: object, scene: Scene) -> tuple[type[ObservationTe
         subclass(f"observation[{place}]", term, ObservationTerm, TERMS)  # type: ignore[type-abstract]
         for place, term in enumerate(observation)
     )
+    for place, term in enumerate(terms):
+        missing = [] if isinstance(getattr(term, "name", None), str) else ["name"]
+        if missing := missing + sorted(term.__abstractmethods__):
+            raise invalid_value(f"observation[{place}]", term, f"lacks {', '.join(missing)}")
     names = [term.name for term in terms]
     for name in names:
         if names.count(name) > 1:
@@ -57,6 +61,9 @@ def resolve_terms(observation: object, scene: Scene) -> tuple[type[ObservationTe
             why = f"rhythm = {scene.rhythm:g}" if name == "clock" else "adaptation.observed = True"
             raise ValueError(f'{why}: is not observed; add "{name}" to observation')
     return terms
+
+
+OWN_TERMS = frozenset(TERMS.values())
 
 
 class Observer:
@@ -97,8 +104,10 @@ class Observer:
         n_clipped, parts = np.zeros(worms.n_worm, dtype=np.int64), []
         for term in self.terms:
             values = term(worms)
+            if type(term) not in OWN_TERMS:
+                _check_shape(term, values, worms.n_worm)
             if not term.stays_within:
-                values, beyond = _clip(term, values, worms.n_worm)
+                values, beyond = _clip(term, values)
                 n_clipped += beyond
             parts.append(values)
         flat: npt.NDArray[np.float32] = np.concatenate(parts, axis=-1, dtype=np.float32)
@@ -123,15 +132,23 @@ def _build_term(kind: type[ObservationTerm], scene: Scene) -> ObservationTerm:
     term = kind(scene)
     low, high = (np.asarray(getattr(term, end, None)) for end in ("low", "high"))
     shaped = low.dtype.kind in "fiu" and low.ndim == 1 and low.shape == high.shape
-    if not (shaped and high.dtype.kind in "fiu" and np.isfinite([low, high]).all() and (low <= high).all()):
-        raise ValueError(f"{kind.__name__}: low and high must be finite arrays of one shape (size,), low <= high")
+    with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite, and is refused.
+        sound = shaped and high.dtype.kind in "fiu" and np.isfinite(np.array([low, high], dtype=np.float32)).all()
+    if not (sound and (low <= high).all()):
+        raise ValueError(
+            f"{kind.__name__}: low and high must be arrays of one shape (size,), finite as float32, low <= high"
+        )
     return term
 
 
-def _clip(term: ObservationTerm, values: FloatArray, n_worm: int) -> tuple[FloatArray, IntArray | int]:
-    """Values of a term within its bounds, and how many of each worm were not."""
+def _check_shape(term: ObservationTerm, values: FloatArray, n_worm: int) -> None:
+    """Refuse what a term from outside gives unless it is one row a worm."""
     if np.shape(values) != (n_worm, term.size):
         raise ValueError(f"{term.name}: must give shape {(n_worm, term.size)}, got {np.shape(values)}")
+
+
+def _clip(term: ObservationTerm, values: FloatArray) -> tuple[FloatArray, IntArray | int]:
+    """Values of a term within its bounds, and how many of each worm were not."""
     if ((values >= term.low) & (values <= term.high)).all():
         return values, 0
     if np.isnan(values).any():

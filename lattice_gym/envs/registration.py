@@ -7,7 +7,7 @@ import warnings
 import gymnasium
 from gymnasium.envs.registration import EnvSpec
 
-from lattice_gym.checks import brief, invalid_value
+from lattice_gym.checks import brief, flag, invalid_value
 from lattice_gym.tasks.base import GoalTask, Task
 from lattice_gym.tasks.registry import TASKS, resolve_task, task_label
 
@@ -33,14 +33,19 @@ def register_task(task: str | type[Task], id: str, goals: bool = False) -> None:
     Raises
     ------
     ValueError
-        What is no task, goals of a task that has none, or an id that is already something else. The same again is
-        fine.
+        What is no task, or a class of `__main__`; goals of a task that has none; an id that is no text, or already
+        something else. The same again is fine.
     gymnasium.error.Error
         What is no id.
 
     """
     kind = resolve_task(task)
-    if goals and not issubclass(kind, GoalTask):
+    if not isinstance(id, str):
+        raise invalid_value("id", id, 'must be a text such as "Twist-v0"')
+    if kind.__module__ == "__main__":
+        must = "is a class of __main__, which no other process can import; put it in a module of its own"
+        raise invalid_value("task", task, must)
+    if flag("goals", goals) and not issubclass(kind, GoalTask):
         raise invalid_value("goals", goals, f"{kind.name} is no GoalTask")
     entry, vector = (
         ("goal:LatticeWormGoalEnv", "goal:LatticeWormGoalVectorEnv")
@@ -79,8 +84,9 @@ def register_builtin_tasks() -> None:
 def warn_of_time_limit(spec: EnvSpec | None, task: type[Task], n_step: int) -> None:
     """Warn once of an id whose time limit is not its task's, where that has ended an episode after so many steps.
 
-    Whether the limit is the registered one cannot be told before: `gymnasium.make(..., max_episode_steps=...)` leaves
-    the specification of the bare environment as it is.
+    One worm's environment asks at its reset and its end, when an episode is over for sure. Whether the limit is the
+    registered one cannot be told before: `gymnasium.make(..., max_episode_steps=...)` leaves the specification of the
+    bare environment as it is.
     """
     registered = None if spec is None else gymnasium.registry.get(spec.id)
     if spec is None or registered is None or (spec.id, task) in _warned:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, get_args
+from functools import wraps
+from inspect import Parameter, Signature, signature
+from typing import Any, TypeVar, cast, get_args
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
@@ -23,6 +25,8 @@ from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.base import CommandValues, GoalTask, Task
 from lattice_gym.tasks.registry import TASKS, resolve_task, warn_of_dropped_values
+
+Init = TypeVar("Init", bound=Callable[..., None])
 
 MIN_CONTROL_DT, MAX_CONTROL_DT = 1e-6, 1e3
 """Bounds of the control step [s]."""
@@ -164,6 +168,25 @@ class Scene:
                 "dt", step, f"above the critical time step, {limit:.6g} s; allow_large_dt=True permits it"
             )
         return n_substeps, step
+
+
+def takes_scene_arguments(init: Init) -> Init:
+    """Let the `**arguments` of a constructor be those of `Scene`: named in its signature, and any other refused."""
+    own = list(signature(init).parameters.values())[:-1]
+    further = [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in signature(Scene).parameters.values()]
+    taken = {parameter.name for parameter in own} | {"goals_apart"}
+    known = [*own, *(parameter for parameter in further if parameter.name not in taken)]
+    argument_names = [parameter.name for parameter in known[1:]]
+
+    @wraps(init)
+    def checked(self: object, *args: Any, **arguments: Any) -> None:
+        for name in arguments:
+            if name not in argument_names:
+                raise ValueError(f"there is no argument {name!r}; there are {', '.join(argument_names)}")
+        init(self, *args, **arguments)
+
+    checked.__signature__ = Signature(known)  # type: ignore[attr-defined]
+    return cast(Init, checked)
 
 
 def resolve_world(world: object, own: Callable[[Lattice], World], lattice: Lattice) -> World:

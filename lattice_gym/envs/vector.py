@@ -15,15 +15,16 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from lattice_gym.checks import FloatArray, IntArray, choice, invalid_value, items, optional, whole
+from lattice_gym.envs.attributes import SceneAttributes
 from lattice_gym.envs.core import OK, Mask, Worms
 from lattice_gym.envs.env import METADATA, clip_command
 from lattice_gym.envs.observation import Observation
 from lattice_gym.envs.pictures import RENDER_MODES, Pictures
 from lattice_gym.envs.registration import warn_of_time_limit
-from lattice_gym.envs.scene import Scene
+from lattice_gym.envs.scene import Scene, takes_scene_arguments
 
 
-class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[Any]]):
+class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[Any]]):
     """Many worms of one kind in one process, in compiled threads; `LatticeWormEnv` says what each of them is.
 
     To the last bit it gives what `gymnasium.vector.SyncVectorEnv` gives of as many single environments, but for two
@@ -63,6 +64,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
     _goals_apart: ClassVar[bool] = False
     """Whether goals are observed apart."""
 
+    @takes_scene_arguments
     def __init__(
         self,
         num_envs: int = 1,
@@ -153,7 +155,7 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         resets = {worm: self._begin(worm) for worm in _worms(~live)}
         observation, step_info["clipped_observations"] = self.worms.observe()
         if self.scene.adaptation is not None:
-            step_info["strength"] = self.worms.strength
+            step_info["strength"] = self.worms.strength.copy()
         if self._mode is AutoresetMode.SAME_STEP and ended.any():
             infos = _mask_infos(step_info, live & ~ended) | self._final(observation, ended)
             infos["final_info"] = _mask_infos(step_info, ended) | _mask_infos({"outcome": outcome}, ended)
@@ -168,9 +170,19 @@ class LatticeWormVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.N
         return _copy(observation), result.reward, result.terminated, truncated, infos
 
     @property
-    def observation_slices(self) -> dict[str, slice]:
-        """Where each term stands in the (flat) observation of a worm, by name."""
-        return dict(self.worms.observer.slices)
+    def activation(self) -> FloatArray:
+        """Activation of every active muscle now, shape (num_envs, n_muscle), in [0, 1]."""
+        return self.worms.activation
+
+    @property
+    def strength(self) -> FloatArray:
+        """Strength of every active muscle now, over that of the design, shape (num_envs, n_muscle)."""
+        return self.worms.strength.copy()
+
+    @property
+    def time(self) -> FloatArray:
+        """Time since each episode began [s], at the end of its last control step, shape (num_envs,)."""
+        return self.worms.time
 
     def outcome(self) -> dict[str, FloatArray]:
         """Return what the motion of every worm came to by now, shape (num_envs,) each; see `LatticeWormEnv`."""

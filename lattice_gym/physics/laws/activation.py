@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import ClassVar
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -22,6 +22,7 @@ _NEWTON = 30
 """Newton's steps at most; from the start that is taken the last bit is reached in under ten."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Activation(Parameters, ABC):
     """How activations follow commands; its parameters are fields as of any `Parameters`.
 
@@ -30,6 +31,19 @@ class Activation(Parameters, ABC):
 
     n_state: ClassVar[int] = 1
     """Numbers that are the state of one muscle."""
+    law: str = field(default="", init=False, repr=False, compare=False)
+    """Name by which `resolve_activation` finds its class: one of `ACTIVATIONS` or "module:Class"."""
+
+    def __init_subclass__(cls, **arguments: Any) -> None:
+        """Name a law from outside by its place, so that its dict form finds it again."""
+        super().__init_subclass__(**arguments)
+        if "law" not in vars(cls):
+            cls.law = f"{cls.__module__}:{cls.__qualname__}"
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Make it from its fields by name, "law" aside; those that are missing have their defaults."""
+        return super().from_dict({name: value for name, value in values.items() if name != "law"})
 
     def rest(self, shape: int | tuple[int, ...]) -> FloatArray:
         """State of muscles long at rest, shape (n_state, *shape)."""
@@ -57,6 +71,8 @@ class FirstOrder(Activation):
     da/dt = (u - a) / tau, where tau is the rise time while u > a, and else the decay time.
     """
 
+    law = "first_order"
+
     rise_time: float = real(0.015, 1e-6, 1e6, "s")
     """[s]"""
     decay_time: float = real(0.05, 1e-6, 1e6, "s")
@@ -79,6 +95,8 @@ class Thelen(Activation):
     With p = 0.5 + 1.5 a, q = 0.5 + 1.5 u and t in time constants, w = p / q - 1 obeys w exp(w) = w0 exp(w0 - t / q)
     while it rises; while it falls, p = q / (1 + (q / p0 - 1) exp(-q t)).
     """
+
+    law = "thelen"
 
     rise_time: float = real(0.015, 1e-6, 1e6, "s")
     """Where the activation is 1/3 [s]."""
@@ -107,6 +125,7 @@ class Twitch(Activation):
     the activation and its rate [1/s].
     """
 
+    law = "twitch"
     n_state = 2
 
     contraction_time: float = real(0.05, 1e-6, 1e6, "s")
@@ -122,7 +141,7 @@ class Twitch(Activation):
         return np.stack([activation, (state[1] - slope * time / self.contraction_time) * left])
 
 
-ACTIVATIONS: dict[str, type[Activation]] = {"first_order": FirstOrder, "thelen": Thelen, "twitch": Twitch}
+ACTIVATIONS: dict[str, type[Activation]] = {kind.law: kind for kind in (FirstOrder, Thelen, Twitch)}
 """Laws by name."""
 
 
@@ -150,9 +169,11 @@ def resolve_activation(given: object, design: LatticeDesign) -> Activation:
         must = f"must be one of {choices}, 'module:Class', an Activation, None or a dict whose 'law' is such a string"
         raise invalid_value("activation", given, must)
     kind = subclass("activation law", law, Activation, ACTIVATIONS)  # type: ignore[type-abstract]
-    own = {field.name for field in fields(kind)}
-    times = {name: getattr(design, name) for name in ("rise_time", "decay_time") if name in own}
-    return kind.from_dict(times | {name: value for name, value in values.items() if name != "law"})
+    if missing := sorted(kind.__abstractmethods__):
+        raise invalid_value("activation law", law, f"lacks {', '.join(missing)}")
+    own = {item.name for item in fields(kind)}
+    times: dict[str, Any] = {name: getattr(design, name) for name in ("rise_time", "decay_time") if name in own}
+    return kind.from_dict({**times, **values})
 
 
 def advance_activation(
