@@ -512,7 +512,7 @@ def test_a_design_file_changes_the_tasks_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize("task", ["reach", "crawl", "transport"])
 def test_new_worlds_are_learned_in(task: str, tmp_path: Path) -> None:
     """A short run learns, is evaluated beside the gait, and is filmed with what surrounds the worm."""
-    config = replace(TINY, task=task, run_dir=tmp_path / task)
+    config = replace(TINY, task=task, fidelity="fast", run_dir=tmp_path / task)
     run = Run.open(train(config))
     scores = evaluate(run.path, episodes=1)
     assert (

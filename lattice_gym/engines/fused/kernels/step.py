@@ -64,6 +64,17 @@ class Laws(NamedTuple):
     account: Account | None
 
 
+class BlockLaws(NamedTuple):
+    """The laws that act within the pass over the blocks: scenes that differ in others alone share its code."""
+
+    loads: float | None
+    torques: float | None
+    ground: Ground | None
+    spin_damping: float | None
+    symmetric: float | None
+    account: Account | None
+
+
 @entry
 def advance(blocks: Blocks, scene: Laws, worms: WormTable, n_steps: int, dt: float) -> None:
     """Advance all worms in place by n_steps of position Verlet, and inspect each; NaN spreads, and nothing raises.
@@ -73,6 +84,7 @@ def advance(blocks: Blocks, scene: Laws, worms: WormTable, n_steps: int, dt: flo
     cells, work, passive, active = blocks
     joints, joint_damping, lines, hill = scene.joints, scene.joint_damping, scene.lines, scene.hill
     ground, ball, contact, account = scene.ground, scene.ball, scene.contact, scene.account
+    laws = BlockLaws(scene.loads, scene.torques, ground, scene.spin_damping, scene.symmetric, account)
     _open_account(cells, active, lines, hill, account)
     _half_drift(cells, work, passive, 0.5 * dt)
     _half_drift(cells, work, active, 0.5 * dt)
@@ -88,11 +100,11 @@ def advance(blocks: Blocks, scene: Laws, worms: WormTable, n_steps: int, dt: flo
         pairs, lost = add_contact_forces(cells, contact, pairs)
         account_loss(account, dt * lost)
         write_axis(cells, ground)
-        _step_blocks(cells, work, passive, scene, None, None, dt, drift)
-        _step_blocks(cells, work, active, scene, 1.0, hill, dt, drift)
+        _step_blocks(cells, work, passive, laws, None, None, dt, drift)
+        _step_blocks(cells, work, active, laws, 1.0, hill, dt, drift)
         lost = apply_friction(cells, ball, n_touch, drift)
         account_loss(account, dt * lost)
-        _account_step(blocks, scene, account, joint_damping, dt)
+        _account_step(blocks, laws, account, joints, joint_damping, dt)
     close_list(contact, pairs)
     _account_muscles(cells, active, lines, hill, account, 0.5, 0.5)
     sound = is_sound(cells, passive, worms) and is_sound(cells, active, worms)
@@ -131,14 +143,19 @@ def _account_muscles(
 
 @inlined
 def _account_step(
-    blocks: Blocks, scene: Laws, account: Account | None, joint_damping: FloatArray | None, dt: float
+    blocks: Blocks,
+    laws: BlockLaws,
+    account: Account | None,
+    joints: Joints,
+    joint_damping: FloatArray | None,
+    dt: float,
 ) -> None:
     """Add what torques, damping and the ground did in the step just taken."""
     if account is not None:
         cells, work, passive, active = blocks
-        torques, spin_damping, symmetric, ground = scene.torques, scene.spin_damping, scene.symmetric, scene.ground
+        torques, spin_damping, symmetric, ground = laws.torques, laws.spin_damping, laws.symmetric, laws.ground
         if joint_damping is not None:
-            account_joints(cells, scene.joints, joint_damping, account, dt)
+            account_joints(cells, joints, joint_damping, account, dt)
         account_blocks(cells, work, passive, account, torques, spin_damping, symmetric, ground, dt)
         account_blocks(cells, work, active, account, torques, spin_damping, symmetric, ground, dt)
 
@@ -164,7 +181,7 @@ def _step_blocks(
     cells: Cells,
     work: Cells,
     block: IntArray,
-    scene: Laws,
+    laws: BlockLaws,
     tension: float | None,
     hill: Hill | None,
     dt: float,
@@ -175,8 +192,7 @@ def _step_blocks(
     A node is done once the stress on both its sides is known, an element once both its couples are: the pass works
     two records behind its front, while they are still in the first-level cache.
     """
-    loads, torques, ground, account = scene.loads, scene.torques, scene.ground, scene.account
-    spin_damping, symmetric = scene.spin_damping, scene.symmetric
+    loads, torques, ground, spin_damping, symmetric, account = laws
     mask = work.shape[0] - 1
     for b in range(block.shape[0]):
         first = block[b, 0]
