@@ -135,7 +135,7 @@ class Worms:
     def strength(self) -> FloatArray:
         """Strength by use of every active muscle over the design's, shape (n_worm, n_muscle); 1 without adaptation."""
         if self._strength is None:
-            return np.ones((self.n_worm, len(self.scene.groups)))
+            return _read_only(np.ones((self.n_worm, len(self.scene.groups))))
         return _read_only(self._strength.factor)
 
     @property
