@@ -77,9 +77,9 @@ def _check_class(kind: type[Task]) -> None:
         if callable(getattr(Task, part, None)) and not callable(found := getattr(kind, part)):
             raise invalid_value(f"{label}.{part}", found, "must be a method; leave it out for the default")
     own = [name for base in kind.__mro__ if issubclass(base, Task) for name in vars(base) if name[0] != "_"]
-    for name in dict.fromkeys(own):
+    for name in dict.fromkeys(name for name in own if name not in parts):
         near = [OTHER_NAMES[name]] if name in OTHER_NAMES else get_close_matches(name, parts, 1, 0.85)
-        if name not in parts and near:
+        if near:
             warnings.warn(
                 f"{label}.{name} is no part of Task, so nothing uses it by itself: if {near[0]} is meant, rename it",
                 stacklevel=4,
