@@ -132,8 +132,11 @@ def array(
         given = np.array([None])
     if given.size and given.dtype.kind not in "fiu":
         raise invalid_value(name, values, "must be an array of real numbers")
-    with np.errstate(over="ignore"):  # What the type cannot hold becomes infinite, and is refused below.
-        copy = given.astype(dtype) if given.size else np.zeros(given.shape, dtype)
+    if given.dtype == dtype:
+        copy = given.copy(order="K")
+    else:
+        with np.errstate(over="ignore"):  # What the type cannot hold becomes infinite, and is refused below.
+            copy = given.astype(dtype) if given.size else np.zeros(given.shape, dtype)
     if spread:
         with suppress(ValueError):
             copy = np.array(np.broadcast_to(copy, [int(length) for length in shape or ()]))
@@ -149,7 +152,8 @@ def array(
         place = tuple(np.argwhere(~sound)[0].tolist())
         label = f"{name}[{', '.join(map(str, place))}]" if place else name
         raise invalid_value(label, copy[place].item(), _must_be("number", low, high, unit, above))
-    copy.flags.writeable = not read_only
+    if read_only:
+        copy.flags.writeable = False
     return copy
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
-from lattice_gym.checks import FloatArray, IntArray, array, number, require, wrap_angle
+from lattice_gym.checks import FloatArray, IntArray, array, number, wrap_angle
 from lattice_gym.physics.assembly import RodModel
 
 MIN_BEND = 1e-9
@@ -314,10 +314,11 @@ def travelling_wave(radii: FloatArray, dt: float, level_height: FloatArray) -> T
 
     """
     radii, dt = array("radii", radii, ("n_time", "n_level"), unit="m"), number("dt", dt, 0.0, unit="s", above=True)
-    enough = radii.shape[0] >= 4 and radii.shape[1] >= 1
-    require(enough, f"radii has shape {radii.shape}: must have at least 4 times and one level")
+    if radii.shape[0] < 4 or radii.shape[1] < 1:
+        raise ValueError(f"radii has shape {radii.shape}: must have at least 4 times and one level")
     level_height = array("level_height", level_height, radii.shape[1:], unit="m")
-    require(bool((np.diff(level_height) > 0.0).all()), f"level_height = {level_height.tolist()}: must rise")
+    if not (np.diff(level_height) > 0.0).all():
+        raise ValueError(f"level_height = {level_height.tolist()}: must rise")
     motion = radii - radii.mean(axis=0)
     size = np.sqrt(np.mean(motion**2, axis=0))
     moving = size > MIN_SHARE * float(size.max())
