@@ -28,14 +28,18 @@ HERE = Path(__file__).resolve().parents[3]
 """This checkout."""
 EPISODE, QUICK_STEPS = 10**6, 5
 """Control steps that are compared, at most: a whole episode, and in the quick form."""
-ROUNDS, QUICK_ROUNDS = 15, 3
+ROUNDS, QUICK_ROUNDS = 41, 3
 TIMED = {
-    "one": ("step, one worm on one thread", "us", 1e6, 1.05),
-    "many": (f"step of a worm, {worker.N_WORM} on {worker.N_THREADS} threads", "us", 1e6, 1.05),
-    "env": ("`env.step` of one worm", "ms", 1e3, 1.05),
-    "start": ("first step from the start of Python, compiled before", "s", 1.0, 1.1),
+    "one": ("step, one worm", "us", 1e6, 1.03),
+    "many": (f"step of a worm, {worker.N_WORM} at once", "us", 1e6, 1.03),
+    "env": ("`env.step` of one worm", "ms", 1e3, 1.03),
+    "start": ("first step from the start of Python, compiled before", "s", 1.0, 1.0),
+    "nothing": ("first step from the start of Python, nothing compiled", "s", 1.0, 1.0),
 }
-"""What is timed: in words, unit, units in a second, and the largest median of new over old that passes."""
+"""What is timed, on one thread: in words, unit, units in a second, and the largest median of new over old that passes.
+"""
+SHARE_FROM_NOTHING = 8
+"""What takes 10 s is taken this many times less often."""
 
 Ask = Callable[..., Any]
 
@@ -96,15 +100,22 @@ def compare(old: Ask, new: Ask, n_steps: int) -> dict[str, dict[str, str]]:
 
 def measure(old: Ask, new: Ask, old_folder: Path, rounds: int) -> dict[str, dict[str, list[float]]]:
     """Seconds of each thing that is timed, of the older commit ("old") and this one ("new"), round by round."""
+    asked = {"old": (old, old_folder), "new": (new, HERE)}
+    tasks: dict[tuple[str, str], Callable[[], float]] = {}
+    starts: dict[tuple[str, str], Callable[[], float]] = {}
     with tempfile.TemporaryDirectory() as kept:
-        asked = {"old": (old, old_folder), "new": (new, HERE)}
-        tasks: dict[tuple[str, str], Callable[[], float]] = {}
-        for what in TIMED:
-            for side, (ask, folder) in asked.items():
-                start = partial(first_step, f"{kept}/{side}", folder)
-                tasks[what, side] = start if what == "start" else partial(ask, "time", what)
+        for side, (ask, folder) in asked.items():
+            tasks |= {(what, side): partial(ask, "time", what) for what in ("one", "many", "env")}
+            tasks["start", side] = partial(first_step, f"{kept}/{side}", folder)
+            starts["nothing", side] = partial(_first_step_from_nothing, folder)
         times = interleaved(tasks, rounds, "run times")
+    times |= interleaved(starts, -(-rounds // SHARE_FROM_NOTHING), "from nothing")
     return {what: {side: times[what, side] for side in asked} for what in TIMED}
+
+
+def _first_step_from_nothing(checkout: Path) -> float:
+    with tempfile.TemporaryDirectory() as nothing:
+        return first_step(nothing, checkout)
 
 
 def _ratios(times: dict[str, list[float]]) -> list[float]:
@@ -134,7 +145,7 @@ def report(folder: Path, *, command: str, old: Path, quick: bool) -> bool:
             ["id", "random actions", "zero actions"],
             [[env_id, *(_verdict(not what, what) for what in by.values())] for env_id, by in found.items()],
         ),
-        "Run times, the commits in turn: median (least to greatest) over rounds.",
+        "Run times on one thread, the commits in turn: median (least to greatest) over rounds.",
         table(["", "old", "new", "new over old, round by round", "at most", "verdict"], rows),
         _verdict(same and fast),
     ]

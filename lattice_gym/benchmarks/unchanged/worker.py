@@ -23,7 +23,7 @@ FIELDS = ("position", "velocity", "directors", "omega", "ball_position", "ball_v
 """Of the state."""
 TIMED_ID, DT, TENSION = "LatticeWormExtension-v0", 1e-4, 0.5
 """Environment whose worm is timed, its step [s] and the tension in every muscle [N]: the benchmark scene."""
-N_STEPS, N_WORM, N_THREADS = 2000, 16, 2
+N_STEPS, N_WORM = 2000, 16
 
 
 def ids() -> list[str]:
@@ -74,14 +74,14 @@ def _advance_one(model: Any) -> Callable[[int], object]:
 
 
 def _advance_many(model: Any) -> Callable[[int], object]:
-    """Take steps with `N_WORM` worms on `N_THREADS` threads."""
+    """Take steps with `N_WORM` worms on one thread."""
     models, pull = [model] * N_WORM, np.full((N_WORM, model.n_muscle), TENSION)
     try:
         import_module("lattice_gym.engines.simulation")
     except ImportError:
-        engine = import_module("lattice_gym.engines.batch").BatchEngine(models, DT, num_threads=N_THREADS)
+        engine = import_module("lattice_gym.engines.batch").BatchEngine(models, DT, num_threads=1)
     else:
-        engine = import_module("lattice_gym.engines.registry").make_engine("fused", models, DT, num_threads=N_THREADS)
+        engine = import_module("lattice_gym.engines.registry").make_engine("fused", models, DT, num_threads=1)
     return lambda n_steps: engine.advance(pull, n_steps)
 
 
@@ -89,7 +89,7 @@ def _advance_many(model: Any) -> Callable[[int], object]:
 def timer(what: str) -> Callable[[], float]:
     """Find the seconds of a step (of one worm) or of a control step (of the environment); built once.
 
-    Processor time where one thread works, so that what else runs on the machine is no part of it.
+    Processor time, as one thread works, so that what else runs on the machine is no part of it.
     """
     env: Any = gymnasium.make(TIMED_ID)
     if what == "env":
@@ -99,17 +99,16 @@ def timer(what: str) -> Callable[[], float]:
             for _ in range(n_call):
                 env.step(action)
 
-        return lambda: (env.reset(seed=0), _seconds(act, time.process_time) / n_call)[1]
+        return lambda: (env.reset(seed=0), _seconds(act) / n_call)[1]
     n_worm, make = (1, _advance_one) if what == "one" else (N_WORM, _advance_many)
-    clock = time.process_time if what == "one" else time.perf_counter
     advance, n_steps = make(env.unwrapped.model), N_STEPS // n_worm
-    return lambda: _seconds(lambda: advance(n_steps), clock) / (n_steps * n_worm)
+    return lambda: _seconds(lambda: advance(n_steps)) / (n_steps * n_worm)
 
 
-def _seconds(action: Callable[[], object], clock: Callable[[], float]) -> float:
-    start = clock()
+def _seconds(action: Callable[[], object]) -> float:
+    start = time.process_time()
     action()
-    return clock() - start
+    return time.process_time() - start
 
 
 def main() -> None:
