@@ -16,6 +16,7 @@ from lattice_gym.envs.attributes import SceneAttributes
 from lattice_gym.envs.core import Worms
 from lattice_gym.envs.observation import Observation
 from lattice_gym.envs.pictures import RENDER_MODES, Pictures
+from lattice_gym.envs.pitfalls import warn_of_pitfalls
 from lattice_gym.envs.registration import warn_of_time_limit
 from lattice_gym.envs.scene import Scene, takes_scene_arguments
 from lattice_gym.physics.state import RodState
@@ -331,7 +332,9 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         **arguments: Any,
     ) -> None:
         self.render_mode = optional(choice, "render_mode", render_mode, RENDER_MODES)
-        self.scene = scene = Scene(task, design, goals_apart=self._goals_apart, **arguments)
+        arguments |= {"task": task, "design": design, "goals_apart": self._goals_apart}
+        self.scene = scene = Scene(**arguments)
+        warn_of_pitfalls(scene, arguments)
         self.worms = Worms(scene, keep_state=True)
         self.metadata = {**METADATA, "render_fps": 1.0 / self.control_dt}
         self.action_space = spaces.Box(0.0, 1.0, (scene.n_group,), np.float32)

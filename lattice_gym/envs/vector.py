@@ -20,6 +20,7 @@ from lattice_gym.envs.core import OK, Mask, Worms
 from lattice_gym.envs.env import METADATA, clip_command
 from lattice_gym.envs.observation import Observation
 from lattice_gym.envs.pictures import RENDER_MODES, Pictures
+from lattice_gym.envs.pitfalls import warn_of_pitfalls
 from lattice_gym.envs.registration import warn_of_time_limit
 from lattice_gym.envs.scene import Scene, takes_scene_arguments
 
@@ -83,7 +84,9 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
             modes = ", ".join(repr(mode.value) for mode in AutoresetMode)
             raise invalid_value("autoreset_mode", autoreset_mode, f"must be one of {modes}") from None
         self.render_mode = optional(choice, "render_mode", render_mode, RENDER_MODES)
-        self.scene = Scene(goals_apart=self._goals_apart, **arguments)
+        arguments["goals_apart"] = self._goals_apart
+        self.scene = Scene(**arguments)
+        warn_of_pitfalls(self.scene, arguments)
         self.worms = Worms(self.scene, self.num_envs, num_threads=num_threads)
         self.metadata = {**METADATA, "render_fps": 1.0 / self.scene.control_dt, "autoreset_mode": self._mode}
         self.single_action_space = spaces.Box(0.0, 1.0, (self.scene.n_group,), np.float32)
