@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from matplotlib.image import imread
-from PIL import Image
+from pictured import SIZE, STRETCH, green, imageio_ffmpeg, rest_of
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
@@ -30,47 +30,13 @@ from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.recording.trajectory import Recorder, Trajectory
-from lattice_gym.rendering import scene, shapes, video
+from lattice_gym.rendering import scene, shapes
 from lattice_gym.rendering.colours import activation_colour
-from lattice_gym.rendering.extras import extra
 from lattice_gym.rendering.figures import Still, plot_activation, render_still, render_strip, round_length
 from lattice_gym.rendering.scene import Renderer, render_frame
 from lattice_gym.rendering.video import render_video
 
 pytestmark = pytest.mark.slow
-
-imageio_ffmpeg = extra("imageio_ffmpeg")
-SIZE = (160, 120)
-STRETCH = np.array([0.8, 0.8, 1.6])
-
-
-@pytest.fixture(scope="module")
-def lattice() -> Lattice:
-    """Return the default worm, coarse."""
-    return build_lattice(LatticeDesign(elements_per_segment=2))
-
-
-@pytest.fixture(scope="module")
-def model(lattice: Lattice) -> RodModel:
-    """Return its model with all muscles."""
-    return build_model(lattice, named_layout("all", lattice))
-
-
-@pytest.fixture(scope="module")
-def trajectory(lattice: Lattice, model: RodModel) -> Trajectory:
-    """Return a worm that grows by 60 % in 0.6 s while its muscles switch on one after another."""
-    share = np.linspace(0.0, 1.0, 7)
-    recorder = Recorder(lattice.design, named_layout("all", lattice), "extension")
-    for s in share:
-        position = rest_of(model) * (1.0 + s * (STRETCH - 1.0))
-        on = (np.arange(model.n_muscle) < s * model.n_muscle).astype(float)
-        recorder.append(0.6 * s, position, on, outcome=f"strain {60 * s:.0f} %")
-    return recorder.build()
-
-
-def rest_of(model: RodModel) -> FloatArray:
-    """Rest positions of a model's nodes."""
-    return model.rest_state().position
 
 
 def drawn(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
@@ -84,15 +50,12 @@ def crimson(picture: npt.NDArray[np.uint8]) -> int:
     return int(np.sum((red > green + 60) & (blue > green + 10)))
 
 
-# The scene
-
-
-def test_picture_shows_positions_activations_time_and_text(lattice: Lattice, model: RodModel) -> None:
+def test_picture_shows_positions_activations_time_and_text(coarse_lattice: Lattice, coarse_model: RodModel) -> None:
     """Each argument of update changes the picture where it should."""
-    rest = rest_of(model)
-    with Renderer(lattice, model, (320, 240)) as renderer:
+    rest = rest_of(coarse_model)
+    with Renderer(coarse_lattice, coarse_model, (320, 240)) as renderer:
         plain = renderer.update(rest)
-        on = renderer.update(rest, np.ones(model.n_muscle))
+        on = renderer.update(rest, np.ones(coarse_model.n_muscle))
         tall = renderer.update(rest * STRETCH)
         told = renderer.update(rest, time=1.25, text="strain")
     assert plain.shape == (240, 320, 3)
@@ -107,10 +70,10 @@ def test_picture_shows_positions_activations_time_and_text(lattice: Lattice, mod
     assert changed.max(axis=0)[0] < 0.15 * 240
 
 
-def test_long_line_stays_in_the_picture(lattice: Lattice, model: RodModel) -> None:
+def test_long_line_stays_in_the_picture(coarse_lattice: Lattice, coarse_model: RodModel) -> None:
     """It goes on in the next one."""
-    rest = rest_of(model)
-    with Renderer(lattice, model, (320, 240)) as renderer:
+    rest = rest_of(coarse_model)
+    with Renderer(coarse_lattice, coarse_model, (320, 240)) as renderer:
         plain = renderer.update(rest)
         changed = np.any(renderer.update(rest, text="travelling wave index 0.95 " * 5) != plain, axis=2)
     rows, columns = np.nonzero(changed)
@@ -129,52 +92,59 @@ def test_a_line_ends_before_a_bracket_rather_than_in_it() -> None:
     assert scene.in_lines("", 20) == ""
 
 
-def test_each_muscle_has_its_own_colour(lattice: Lattice, model: RodModel) -> None:
+def test_each_muscle_has_its_own_colour(coarse_lattice: Lattice, coarse_model: RodModel) -> None:
     """A muscle at the back is paler but shown; the order is that of the model's muscles."""
-    rest = rest_of(model)
-    sites = [lattice.site_position[[m.start, m.end]].mean(axis=0) for m in named_layout("all", lattice).active]
+    rest = rest_of(coarse_model)
+    sites = [
+        coarse_lattice.site_position[[m.start, m.end]].mean(axis=0) for m in named_layout("all", coarse_lattice).active
+    ]
     high = np.array([place[2] for place in sites]) > 0.06
-    with Renderer(lattice, model, (320, 240), view=rest, bare=True) as renderer:
+    with Renderer(coarse_lattice, coarse_model, (320, 240), view=rest, bare=True) as renderer:
         top, bottom = (renderer.update(rest, mask.astype(float)) for mask in (high, ~high))
     assert crimson(top[:110]) > 5 * crimson(top[130:])
     assert crimson(bottom[130:]) > 5 * crimson(bottom[:110])
 
 
-def test_muscles_as_lines_look_like_rods(lattice: Lattice, model: RodModel) -> None:
+def test_muscles_as_lines_look_like_rods(coarse_lattice: Lattice, coarse_model: RodModel) -> None:
     """At rest the pictures are the same to the last bit, colours included; lines follow their ends, and are filmed."""
-    design = replace(lattice.design, muscle_model="line")
-    layout = named_layout("all", lattice)
+    design = replace(coarse_lattice.design, muscle_model="line")
+    layout = named_layout("all", coarse_lattice)
     lines = build_model(build_lattice(design), layout)
-    assert lines.n_node < model.n_node
-    on = np.linspace(0.0, 1.0, model.n_muscle)
-    with Renderer(lattice, model, (320, 240)) as rods, Renderer(lattice, lines, (320, 240)) as renderer:
+    assert lines.n_node < coarse_model.n_node
+    on = np.linspace(0.0, 1.0, coarse_model.n_muscle)
+    with (
+        Renderer(coarse_lattice, coarse_model, (320, 240)) as rods,
+        Renderer(coarse_lattice, lines, (320, 240)) as renderer,
+    ):
         rest = renderer.update(rest_of(lines), on, 0.5, "a")
-        np.testing.assert_array_equal(rest, rods.update(rest_of(model), on, 0.5, "a"))
+        np.testing.assert_array_equal(rest, rods.update(rest_of(coarse_model), on, 0.5, "a"))
         tall = renderer.update(rest_of(lines) * STRETCH, on, 0.5, "a")
-        np.testing.assert_array_equal(tall, rods.update(rest_of(model) * STRETCH, on, 0.5, "a"))
+        np.testing.assert_array_equal(tall, rods.update(rest_of(coarse_model) * STRETCH, on, 0.5, "a"))
     assert np.any(rest != tall)
     recorder = Recorder(design, layout, "extension")
     recorder.append(0.0, rest_of(lines), on)
     assert recorder.build().n_frame == 1
 
 
-def test_picture_depends_on_nothing_shown_before(lattice: Lattice, model: RodModel) -> None:
+def test_picture_depends_on_nothing_shown_before(coarse_lattice: Lattice, coarse_model: RodModel) -> None:
     """A scene that was moved and moved back looks as before, and as one freshly built."""
-    rest, half = rest_of(model), np.full(model.n_muscle, 0.5)
-    with Renderer(lattice, model, SIZE) as renderer:
+    rest, half = rest_of(coarse_model), np.full(coarse_model.n_muscle, 0.5)
+    with Renderer(coarse_lattice, coarse_model, SIZE) as renderer:
         first = renderer.update(rest, half, 0.5, "a")
-        renderer.update(rest[:, [2, 0, 1]] * 3.0, np.ones(model.n_muscle), 9.0, "b")
+        renderer.update(rest[:, [2, 0, 1]] * 3.0, np.ones(coarse_model.n_muscle), 9.0, "b")
         again = renderer.update(rest, half, 0.5, "a")
     np.testing.assert_array_equal(first, again)
-    np.testing.assert_array_equal(first, render_frame(lattice, model, rest, half, 0.5, "a", SIZE))
+    np.testing.assert_array_equal(first, render_frame(coarse_lattice, coarse_model, rest, half, 0.5, "a", SIZE))
 
 
 @pytest.mark.parametrize("size", [(160, 120), (200, 96), (96, 200)])
-def test_whole_worm_is_in_the_picture_and_fills_it(lattice: Lattice, model: RodModel, size: tuple[int, int]) -> None:
+def test_whole_worm_is_in_the_picture_and_fills_it(
+    coarse_lattice: Lattice, coarse_model: RodModel, size: tuple[int, int]
+) -> None:
     """The points to keep in view come close to an edge of the stage but cross none."""
-    shape = rest_of(model) * STRETCH
+    shape = rest_of(coarse_model) * STRETCH
     for view in (None, shape):
-        with Renderer(lattice, model, size, view=view, bare=True) as renderer:
+        with Renderer(coarse_lattice, coarse_model, size, view=view, bare=True) as renderer:
             rows, columns = np.nonzero(drawn(renderer.update(shape)))
         low = np.array([rows.min() / size[1], columns.min() / size[0]])
         high = np.array([rows.max() / size[1], columns.max() / size[0]])
@@ -183,23 +153,23 @@ def test_whole_worm_is_in_the_picture_and_fills_it(lattice: Lattice, model: RodM
         assert max(high - low) > 0.85
 
 
-def test_scale_is_that_of_the_picture(lattice: Lattice, model: RodModel) -> None:
+def test_scale_is_that_of_the_picture(coarse_lattice: Lattice, coarse_model: RodModel) -> None:
     """The base plate measures its diameter times the stated scale."""
-    with Renderer(lattice, model, (400, 400), view=rest_of(model), bare=True) as renderer:
-        _, columns = np.nonzero(drawn(renderer.update(rest_of(model))))
-        diameter = 2 * scene.PLATE_RADIUS * lattice.design.diameter
+    with Renderer(coarse_lattice, coarse_model, (400, 400), view=rest_of(coarse_model), bare=True) as renderer:
+        _, columns = np.nonzero(drawn(renderer.update(rest_of(coarse_model))))
+        diameter = 2 * scene.PLATE_RADIUS * coarse_lattice.design.diameter
         assert np.ptp(columns) == pytest.approx(diameter * renderer.pixels_per_metre, rel=0.03)
 
 
-def test_colour_bar_is_the_muscles_scale(lattice: Lattice, model: RodModel) -> None:
+def test_colour_bar_is_the_muscles_scale(coarse_lattice: Lattice, coarse_model: RodModel) -> None:
     """It runs from the colour of 1 at the top to that of 0; without muscles there is none."""
     left, right, bottom, top = scene.BAR
-    picture = render_frame(lattice, model, rest_of(model), size=(320, 240))
+    picture = render_frame(coarse_lattice, coarse_model, rest_of(coarse_model), size=(320, 240))
     bar = picture[round((1 - top) * 240) : round((1 - bottom) * 240), round((left + right) / 2 * 320)]
     np.testing.assert_allclose(bar[[0, -1]], activation_colour([1.0, 0.0]), atol=0.51)
     assert np.all(np.diff(bar.astype(int).sum(axis=1)) >= 0)
-    bald = build_model(lattice, MuscleLayout())
-    assert np.all(render_frame(lattice, bald, rest_of(bald), size=(320, 240))[:, 280:] == 255)
+    bald = build_model(coarse_lattice, MuscleLayout())
+    assert np.all(render_frame(coarse_lattice, bald, rest_of(bald), size=(320, 240))[:, 280:] == 255)
 
 
 def test_free_worm_has_no_plate() -> None:
@@ -214,29 +184,29 @@ def test_free_worm_has_no_plate() -> None:
     assert counts[0] > 1.2 > counts[1]
 
 
-def test_ball_is_where_it_is_said_to_be(lattice: Lattice, model: RodModel) -> None:
+def test_ball_is_where_it_is_said_to_be(coarse_lattice: Lattice, coarse_model: RodModel) -> None:
     """By default where it starts; nowhere without one, and then a place for it is refused."""
-    ball = build_model(lattice, named_layout("all", lattice), World(ball=Ball(level=2.0)))
-    x, start = rest_of(model), ball.rest_state().ball_position
+    ball = build_model(coarse_lattice, named_layout("all", coarse_lattice), World(ball=Ball(level=2.0)))
+    x, start = rest_of(coarse_model), ball.rest_state().ball_position
     blue = []
     for centre in (None, start, start + np.array([0.0, 0.0, 0.04])):
-        picture = render_frame(lattice, ball, x, size=SIZE, ball=centre).astype(int)
+        picture = render_frame(coarse_lattice, ball, x, size=SIZE, ball=centre).astype(int)
         blue.append(picture[..., 2] - picture[..., 0] > 25)
     assert blue[0].any()
     assert np.array_equal(blue[0], blue[1])
     rows = [np.flatnonzero(mask.any(axis=1)).mean() for mask in blue]
     assert rows[2] < rows[0] - 5.0
-    for wrong, centre in ((model, start), (ball, start[0]), (ball, np.full((1, 3), np.nan))):
+    for wrong, centre in ((coarse_model, start), (ball, start[0]), (ball, np.full((1, 3), np.nan))):
         with pytest.raises(ValueError, match="ball"):
-            render_frame(lattice, wrong, x, size=SIZE, ball=centre)
+            render_frame(coarse_lattice, wrong, x, size=SIZE, ball=centre)
 
 
-def test_nothing_hides_a_ball(lattice: Lattice) -> None:
+def test_nothing_hides_a_ball(coarse_lattice: Lattice) -> None:
     """It shines through the rods, and where it comes out at the base there is a hole in the plate."""
     world = World(ball=Ball(radius=0.03, level=2.0))
-    ball = build_model(lattice, named_layout("all", lattice), world)
+    ball = build_model(coarse_lattice, named_layout("all", coarse_lattice), world)
     x = rest_of(ball)
-    with Renderer(lattice, ball, (320, 240)) as renderer:
+    with Renderer(coarse_lattice, ball, (320, 240)) as renderer:
         for height in (0.05, -0.01):
             pictures = [renderer.update(x, ball=[[0.0, 0.0, z]]).astype(int) for z in (height, 1e3)]
             changed = (np.abs(pictures[0] - pictures[1]).sum(axis=2) > 20).sum()
@@ -244,17 +214,11 @@ def test_nothing_hides_a_ball(lattice: Lattice) -> None:
             assert changed == pytest.approx(disc, rel=0.1)
 
 
-def green(picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
-    """Where a picture shows markers."""
-    red, middle, blue = picture.astype(int).transpose(2, 0, 1)
-    return np.asarray((middle > red + 40) & (middle > blue + 20))
-
-
-def test_markers_are_where_they_are_asked_for(lattice: Lattice, model: RodModel) -> None:
+def test_markers_are_where_they_are_asked_for(coarse_lattice: Lattice, coarse_model: RodModel) -> None:
     """And nothing hides them; none without any, and as many as were announced."""
-    x = rest_of(model)
+    x = rest_of(coarse_model)
     seen = []
-    with Renderer(lattice, model, (320, 240), n_marker=2) as renderer:
+    with Renderer(coarse_lattice, coarse_model, (320, 240), n_marker=2) as renderer:
         for height in (0.03, 0.08):
             picture = renderer.update(x, markers=[[0.0, 0.0, height]] * 2)
             seen.append(green(picture))
@@ -264,19 +228,19 @@ def test_markers_are_where_they_are_asked_for(lattice: Lattice, model: RodModel)
     assert len(low) == pytest.approx(len(high), rel=0.2)
     assert low.mean(axis=0)[0] - high.mean(axis=0)[0] > 20.0
     assert abs(low.mean(axis=0)[1] - high.mean(axis=0)[1]) < 1.0
-    assert not green(render_frame(lattice, model, x, size=SIZE)).any()
-    assert green(render_frame(lattice, model, x, size=SIZE, markers=[[0.0, 0.0, 0.1]])).any()
+    assert not green(render_frame(coarse_lattice, coarse_model, x, size=SIZE)).any()
+    assert green(render_frame(coarse_lattice, coarse_model, x, size=SIZE, markers=[[0.0, 0.0, 0.1]])).any()
     for wrong in (1.0, [0.0, 0.0, 0.1], [[0.0, 0.1]]):
         with pytest.raises(ValueError, match=r"^markers has shape"):
-            render_frame(lattice, model, x, size=SIZE, markers=wrong)
+            render_frame(coarse_lattice, coarse_model, x, size=SIZE, markers=wrong)
 
 
-def test_the_top_is_shown_where_markers_are(lattice: Lattice, model: RodModel) -> None:
+def test_the_top_is_shown_where_markers_are(coarse_lattice: Lattice, coarse_model: RodModel) -> None:
     """Its centre, which is to go there, moves with the body, and shows on the marker that it has reached."""
     seen = []
-    with Renderer(lattice, model, (320, 240), n_marker=1) as renderer:
+    with Renderer(coarse_lattice, coarse_model, (320, 240), n_marker=1) as renderer:
         for rise in (0.0, 0.04):
-            moved = rest_of(model) + np.array([0.0, 0.0, rise])
+            moved = rest_of(coarse_model) + np.array([0.0, 0.0, rise])
             picture = renderer.update(moved, markers=[[0.0, 0.0, 0.1]]).astype(int)
             seen.append(np.argwhere(picture[:, :250].max(axis=2)[60:] < 60))
             middle = np.argwhere(green(picture.astype(np.uint8))).mean(axis=0) - [60.0, 0.0]
@@ -284,17 +248,17 @@ def test_the_top_is_shown_where_markers_are(lattice: Lattice, model: RodModel) -
     assert seen[0].mean(axis=0)[0] - seen[1].mean(axis=0)[0] > 20.0
 
 
-def test_wrong_arguments_are_refused(lattice: Lattice, model: RodModel) -> None:
+def test_wrong_arguments_are_refused(coarse_lattice: Lattice, coarse_model: RodModel) -> None:
     """Each names itself."""
-    rest = rest_of(model)
+    rest = rest_of(coarse_model)
     sizes: list[Any] = [(0, 120), (160.5, 120), (160, 120, 3), (160, 5000)]
     for size in sizes:
         with pytest.raises(ValueError, match="size"):
-            Renderer(lattice, model, size)
+            Renderer(coarse_lattice, coarse_model, size)
     for view in (np.zeros((0, 3)), np.zeros(3), np.full((2, 3), np.nan)):
         with pytest.raises(ValueError, match="view"):
-            Renderer(lattice, model, SIZE, view=view)
-    with Renderer(lattice, model, SIZE) as renderer:
+            Renderer(coarse_lattice, coarse_model, SIZE, view=view)
+    with Renderer(coarse_lattice, coarse_model, SIZE) as renderer:
         with pytest.raises(ValueError, match="position has shape"):
             renderer.update(rest[1:])
         with pytest.raises(ValueError, match=r"^position\[.* = nan: must be a finite number"):
@@ -302,10 +266,7 @@ def test_wrong_arguments_are_refused(lattice: Lattice, model: RodModel) -> None:
         with pytest.raises(ValueError, match="activation has shape"):
             renderer.update(rest, np.zeros(3))
         with pytest.raises(ValueError, match=r"^activation\[\d+\] = 1\..*: must be a number from"):
-            renderer.update(rest, np.linspace(0.0, 1.5, model.n_muscle))
-
-
-# The shapes
+            renderer.update(rest, np.linspace(0.0, 1.5, coarse_model.n_muscle))
 
 
 @given(n_node=st.integers(3, 12), samples=st.integers(1, 6), data=st.data())
@@ -371,14 +332,13 @@ def test_more_activation_is_darker(activation: float) -> None:
     assert 0.5 < light[0] - light[1] < 4.0
 
 
-# Files
-
-
-def test_still_and_strip(lattice: Lattice, model: RodModel, tmp_path: Path) -> None:
+def test_still_and_strip(coarse_lattice: Lattice, coarse_model: RodModel, tmp_path: Path) -> None:
     """A strip of two is two pictures wide; a bent worm is drawn at the scale of a straight one."""
-    rest = rest_of(model)
-    render_still(lattice, model, rest, tmp_path / "one.png", np.ones(model.n_muscle), "rest")
-    stills = [Still(lattice=lattice, model=model, position=rest * k, title="x") for k in (STRETCH, np.ones(3))]
+    rest = rest_of(coarse_model)
+    render_still(coarse_lattice, coarse_model, rest, tmp_path / "one.png", np.ones(coarse_model.n_muscle), "rest")
+    stills = [
+        Still(lattice=coarse_lattice, model=coarse_model, position=rest * k, title="x") for k in (STRETCH, np.ones(3))
+    ]
     render_strip(stills, tmp_path / "two.png", size=(200, 240), dpi=100)
     one, two = (imread(tmp_path / name) for name in ("one.png", "two.png"))
     assert one.shape[0] > 840
@@ -420,166 +380,15 @@ def test_heat_map_of_one_frame_of_hand_tied_muscles(tmp_path: Path) -> None:
     assert imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "a.mp4"))[0] == 1
 
 
-def test_heat_map_needs_a_muscle(lattice: Lattice, tmp_path: Path) -> None:
+def test_heat_map_needs_a_muscle(coarse_lattice: Lattice, tmp_path: Path) -> None:
     """Nothing is written without."""
-    model = build_model(lattice, MuscleLayout())
-    recorder = Recorder(lattice.design, MuscleLayout(), "x")
+    model = build_model(coarse_lattice, MuscleLayout())
+    recorder = Recorder(coarse_lattice.design, MuscleLayout(), "x")
     recorder.append(0.0, rest_of(model), [])
     bald = recorder.build()
     with pytest.raises(ValueError, match="no muscle is on"):
         plot_activation(bald, tmp_path / "a.png")
     assert not list(tmp_path.iterdir())
-
-
-# Videos
-
-
-@given(
-    steps=st.lists(st.floats(0.01, 0.5), min_size=1, max_size=20),
-    start=st.floats(-10, 10),
-    fps=st.one_of(st.none(), st.floats(5, 60)),
-    speed=st.floats(0.2, 5),
-)
-@settings(max_examples=200, deadline=None)
-def test_video_time_is_simulated_time(steps: list[float], start: float, fps: float | None, speed: float) -> None:
-    """Picture k shows the last frame recorded by time k speed / rate, and none is left after the end."""
-    time = np.asarray(start + np.cumsum([0.0, *steps]), dtype=np.float64)
-    shown, rate = video.schedule(time, fps, speed)
-    at = start + np.arange(len(shown)) * speed / rate
-    slack = 1e-5 * speed / rate
-    assert np.all(time[shown] <= at + slack)
-    assert np.all(at[shown < len(time) - 1] < time[shown[shown < len(time) - 1] + 1] + slack)
-    assert time[-1] - speed / rate - slack < at[-1] <= time[-1] + slack
-    if fps is None:
-        assert 10.0 - 1e-9 <= rate <= 60.0 + 1e-9
-
-
-@pytest.mark.parametrize(
-    ("step", "speed", "rate"), [(0.05, 1.0, 20.0), (0.05, 0.1, 10.0), (0.02, 1.0, 50.0), (1.0 / 60.0, 1.0, 60.0)]
-)
-def test_default_rate_shows_every_frame_equally_long(step: float, speed: float, rate: float) -> None:
-    """No judder where the recording is even."""
-    shown, got = video.schedule(np.linspace(0.0, 40 * step, 41), None, speed)
-    assert got == pytest.approx(rate)
-    assert set(np.bincount(shown)[:-1]) == {round(rate * step / speed)}
-
-
-def test_fast_recordings_are_thinned() -> None:
-    """100 frames a second make 50 pictures a second."""
-    shown, rate = video.schedule(np.linspace(0.0, 1.0, 101), None, 1.0)
-    assert rate == pytest.approx(50.0)
-    assert set(np.diff(shown)) == {2}
-
-
-def decode(path: Path) -> tuple[str, npt.NDArray[np.uint8]]:
-    """Return what ffmpeg says about a video of SIZE, and its pictures."""
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    ran = subprocess.run(command, capture_output=True, check=True)
-    return ran.stderr.decode(), np.frombuffer(ran.stdout, np.uint8).reshape(-1, SIZE[1], SIZE[0], 3)
-
-
-def test_video(trajectory: Trajectory, lattice: Lattice, model: RodModel, tmp_path: Path) -> None:
-    """It plays everywhere, in real time, and shows the frames in order."""
-    calls: list[tuple[int, int]] = []
-    path = tmp_path / "worm.mp4"
-    render_video(trajectory, path, size=SIZE, progress=lambda done, total: calls.append((done, total)))
-    facts, pictures = decode(path)
-    assert all(fact in facts for fact in ("Video: h264", "yuv420p", "160x120", "10 fps", "Duration: 00:00:00.70"))
-    assert calls == [(k + 1, 7) for k in range(7)]
-    with Renderer(lattice, model, SIZE, view=trajectory.position.reshape(-1, 3)) as renderer:
-        for k in (0, 6):
-            expected = renderer.update(
-                trajectory.position[k], trajectory.activation[k], trajectory.time[k], trajectory.outcome[k]
-            )
-            assert np.abs(pictures[k].astype(float) - expected).mean() < 6.0
-            assert np.abs(pictures[k].astype(float) - pictures[3]).mean() > 6.0
-    assert [p.name for p in tmp_path.iterdir()] == ["worm.mp4"]
-
-
-@pytest.mark.parametrize("name", ["worm.mp4", "worm.gif"])
-def test_a_film_marks_what_was_asked_for(trajectory: Trajectory, tmp_path: Path, name: str) -> None:
-    """In every picture, wherever it lies: the view takes it in."""
-    far = replace(trajectory, markers=np.array([[0.0, 0.0, 0.25]], np.float32))
-    render_video(far, tmp_path / name, size=SIZE)
-    _, pictures = decode(tmp_path / name)
-    assert len(pictures) == 7
-    assert all(green(picture).sum() > 4 for picture in pictures)
-
-
-def test_slow_motion(trajectory: Trajectory, tmp_path: Path) -> None:
-    """At half speed a second lasts two."""
-    render_video(trajectory, tmp_path / "slow.mp4", fps=20.0, speed=0.5, size=(64, 64))
-    count, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "slow.mp4"))
-    assert count == 25
-    assert seconds == pytest.approx(1.25)
-
-
-def test_gif(trajectory: Trajectory, tmp_path: Path) -> None:
-    """The suffix chooses an animated GIF: the same pictures at the same times, for ever."""
-    path = tmp_path / "worm.gif"
-    render_video(trajectory, path, size=SIZE)
-    render_video(trajectory, tmp_path / "worm.mp4", size=SIZE)
-    _, pictures = decode(tmp_path / "worm.mp4")
-    with Image.open(path) as animation:
-        assert (getattr(animation, "n_frames", 1), animation.info["loop"], animation.info["duration"]) == (7, 0, 100)
-        for k in (0, 6):
-            animation.seek(k)
-            assert np.abs(np.asarray(animation.convert("RGB"), float) - pictures[k]).mean() < 8.0
-
-
-@pytest.mark.parametrize("rate", [20.0, 30.0, 12.5, 50.0])
-def test_gif_keeps_time(trajectory: Trajectory, tmp_path: Path, rate: float) -> None:
-    """Whole hundredths of a second a picture, of which none is lost in the sum, nor by any picture."""
-    path = tmp_path / "worm.gif"
-    render_video(trajectory, path, fps=rate, size=(64, 64))
-    count = len(video.schedule(trajectory.time, rate, 1.0)[0])
-    total = 0.0
-    with Image.open(path) as animation:
-        for k in range(getattr(animation, "n_frames", 1)):
-            animation.seek(k)
-            total += animation.info["duration"]
-    assert abs(total - 1000.0 * count / rate) <= 5.0
-    ends = np.cumsum(video.gif_durations(1000, rate))
-    assert np.abs(ends - 1000.0 / rate * np.arange(1, 1001)).max() <= 5.0 + 1e-6
-    assert min(video.gif_durations(1000, rate)) >= 20
-
-
-def test_gifs_have_a_fastest_rate(trajectory: Trajectory, tmp_path: Path) -> None:
-    """Asked for, a faster one is refused; by default pictures are left out."""
-    with pytest.raises(ValueError, match=r"^fps = 60\.0: must be a number from 1 to 50 \[pictures/s\]"):
-        render_video(trajectory, tmp_path / "worm.gif", fps=60.0)
-    assert not list(tmp_path.iterdir())
-    time = np.linspace(0.0, 1.0, 61)
-    assert video.schedule(time, None, 1.0, video.FASTEST_GIF)[1] == pytest.approx(30.0)
-
-
-def stop(done: int, total: int) -> None:
-    """End a video half-way."""
-    if done > total // 2:
-        raise KeyboardInterrupt
-
-
-def test_interrupted_video_leaves_nothing(trajectory: Trajectory, tmp_path: Path) -> None:
-    """Neither a half video nor a temporary file."""
-    with pytest.raises(KeyboardInterrupt):
-        render_video(trajectory, tmp_path / "worm.mp4", size=(64, 64), progress=stop)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("arguments", "name"),
-    [({"size": (161, 120)}, "size"), ({"speed": 0.0}, "speed"), ({"speed": np.nan}, "speed"), ({"fps": 0.5}, "fps")],
-)
-def test_wrong_video_arguments_are_refused(
-    trajectory: Trajectory, tmp_path: Path, arguments: dict[str, Any], name: str
-) -> None:
-    """Before anything is written."""
-    with pytest.raises(ValueError, match=name):
-        render_video(trajectory, tmp_path / "worm.mp4", **arguments)
-    assert not list(tmp_path.iterdir())
-
-
-# The machine
 
 
 def python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:

@@ -2,51 +2,33 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
-import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from task_scenes import CALM, LATTICE, MODEL, REST, SHAPE, observed, shaped, terms_of, tipped
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.checks import FloatArray
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.physics.measures import muscle_lengths, top_centre
 from lattice_gym.physics.state import Motion, RodState
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
-from lattice_gym.tasks.base import EFFORT_WEIGHT, MIN_PENALTY, RewardTerm, Task
+from lattice_gym.tasks.base import EFFORT_WEIGHT, Task
 from lattice_gym.tasks.peristalsis import FULL_DRIVE_AMPLITUDE, Peristalsis
 from lattice_gym.tasks.reach import EIGHT_TARGETS
-from lattice_gym.tasks.registry import TASKS, design_for, gait, resolve_task, task_label
+from lattice_gym.tasks.registry import TASKS, design_for, gait
 
 pytestmark = pytest.mark.slow
-
-LATTICE = build_lattice(LatticeDesign())
-MODEL = build_model(LATTICE, named_layout("all", LATTICE))
-SHAPE = LATTICE.position.reshape(-1, 3)
-
-
-def _at(position: FloatArray) -> RodState:
-    """State at rest but for the positions of the structure rods."""
-    state = MODEL.rest_state()
-    state.position[: len(position)] = position
-    return state
-
-
-def _terms(task: Task, state: RodState, activation: FloatArray, time: float) -> dict[str, float]:
-    """Terms of the only worm."""
-    terms = task.reward_terms(Motion.of(state), activation[None], np.array([time]))
-    return {name: value.item() for name, value in terms.items()}
 
 
 def _outcome(task: Task, state: RodState) -> dict[str, float]:
@@ -54,37 +36,21 @@ def _outcome(task: Task, state: RodState) -> dict[str, float]:
     return {name: value.item() for name, value in task.outcome(Motion.of(state), np.array([0])).items()}
 
 
-def _observe(task: Task, state: RodState, time: float) -> FloatArray:
-    """Return what the only worm sees of its command."""
-    seen: FloatArray = task.observe(Motion.of(state), np.array([time]))[0]
-    return seen
-
-
 def _over(task: Task, state: RodState) -> bool:
     """Whether the episode of the only worm is over."""
     return bool(task.terminated(Motion.of(state)).item())
 
 
-REST = _at(SHAPE)
-CALM = np.zeros(90)
 CARRIER = build_model(LATTICE, named_layout("all", LATTICE), TASKS["transport"].world(LATTICE))
 WAVE = {"speed": 0.1, "wavelength": 0.1, "amplitude": 0.05, "phase": 0.0}
 LEAST = {"reach": 0.08, "crawl": 0.02, "transport": 0.03}
 """What gaits earn a step at least; else 0.15."""
 
 
-def _tipped(angle: float, azimuth: float) -> RodState:
-    """Rest positions turned about the horizontal axis that tips the z axis towards an azimuth."""
-    across, up = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
-    x, z = SHAPE @ across, SHAPE @ up
-    turned_x, turned_z = np.cos(angle) * x + np.sin(angle) * z, np.cos(angle) * z - np.sin(angle) * x
-    return _at(SHAPE + np.outer(turned_x - x, across) + np.outer(turned_z - z, up))
-
-
 def _widened(deviation: FloatArray) -> RodState:
     """Rest positions with levels 1 to 8 widened by these shares."""
     width = 1.0 + np.interp(SHAPE[:, 2] / 0.1 * 8, np.arange(9), np.concatenate([[0.0], deviation]))[:, None]
-    return _at(SHAPE * np.concatenate([width, width, np.ones_like(width)], axis=1))
+    return shaped(SHAPE * np.concatenate([width, width, np.ones_like(width)], axis=1))
 
 
 def _play(
@@ -103,36 +69,29 @@ def _play(
     return np.array(rewards), info
 
 
-@pytest.fixture(params=list(TASKS))
-def task(request: pytest.FixtureRequest) -> Task:
-    """Build each task, with its own changes to the default design."""
-    lattice = build_lattice(design_for(request.param))
-    return TASKS[request.param](lattice, 0.05)
-
-
 def test_terms_have_their_names(task: Task) -> None:
     """In order; an outcome is not the reward; what is observed has its bounds; rest earns zero."""
     task.begin(np.random.default_rng(0), None)
-    terms = _terms(task, task.rest, CALM, 0.05)
+    terms = terms_of(task, task.rest, CALM, 0.05)
     assert tuple(terms) == (*task.rewards, "effort")
     assert sum(terms.values()) == pytest.approx(0.0, abs=1e-12)
-    assert _observe(task, task.rest, 0.05).shape == (len(task.bounds),)
+    assert observed(task, task.rest, 0.05).shape == (len(task.bounds),)
     assert all(isinstance(value, float) for value in {**terms, **_outcome(task, task.rest)}.values())
 
 
 def test_effort_has_a_price(task: Task) -> None:
     """Every muscle fully active for nothing costs the effort alone."""
-    assert sum(_terms(task, task.rest, np.ones(90), 0.05).values()) == pytest.approx(-EFFORT_WEIGHT)
-    assert _terms(task, task.rest, np.full(90, 0.5), 0.05)["effort"] == pytest.approx(-0.25 * EFFORT_WEIGHT)
+    assert sum(terms_of(task, task.rest, np.ones(90), 0.05).values()) == pytest.approx(-EFFORT_WEIGHT)
+    assert terms_of(task, task.rest, np.full(90, 0.5), 0.05)["effort"] == pytest.approx(-0.25 * EFFORT_WEIGHT)
 
 
 @given(stretch=st.floats(-0.5, 1.0))
 def test_length(stretch: float) -> None:
     """Extension pays the strain, compression its opposite; the outcome is the same."""
-    state = _at(SHAPE * [1.0, 1.0, 1.0 + stretch])
+    state = shaped(SHAPE * [1.0, 1.0, 1.0 + stretch])
     for name, sign in (("extension", 1.0), ("compression", -1.0)):
         task = TASKS[name](LATTICE, 0.05)
-        assert _terms(task, state, CALM, 0.0)["strain"] == pytest.approx(sign * stretch, abs=1e-12)
+        assert terms_of(task, state, CALM, 0.0)["strain"] == pytest.approx(sign * stretch, abs=1e-12)
         assert _outcome(task, state)["strain"] == pytest.approx(stretch, abs=1e-12)
 
 
@@ -140,12 +99,12 @@ def test_length(stretch: float) -> None:
 def test_bending(angle: float, azimuth: float, command: float) -> None:
     """The part of the bend along the command counts, the part across counts against."""
     task = TASKS["bending"](LATTICE, 0.05, {"azimuth": command})
-    terms, outcome = _terms(task, _tipped(angle, azimuth), CALM, 0.0), _outcome(task, _tipped(angle, azimuth))
+    terms, outcome = terms_of(task, tipped(angle, azimuth), CALM, 0.0), _outcome(task, tipped(angle, azimuth))
     assert terms["bend"] == pytest.approx(angle * np.cos(azimuth - command), abs=1e-9)
     assert terms["sideways"] == pytest.approx(-angle * abs(np.sin(azimuth - command)), abs=1e-9)
     assert outcome["bend_angle"] == pytest.approx(angle, abs=1e-9)
     assert np.cos(outcome["bend_direction"] - azimuth) == pytest.approx(1.0, abs=1e-9)
-    np.testing.assert_allclose(_observe(task, REST, 0.0), [np.cos(command), np.sin(command)])
+    np.testing.assert_allclose(observed(task, REST, 0.0), [np.cos(command), np.sin(command)])
 
 
 @given(
@@ -158,13 +117,13 @@ def test_reach(moved: tuple[float, ...], azimuth: float, radius: float, rise: fl
     """What is earned is how much nearer the target is, in body lengths, wherever the whole body goes."""
     task = TASKS["reach"](LATTICE, 0.05, {"azimuth": azimuth, "radius": radius, "rise": rise}, MODEL)
     target = 0.1 * np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), rise])
-    state, near = _at(SHAPE + moved), float(np.linalg.norm(target - moved))
-    terms, outcome = _terms(task, state, CALM, 0.35), _outcome(task, state)
+    state, near = shaped(SHAPE + moved), float(np.linalg.norm(target - moved))
+    terms, outcome = terms_of(task, state, CALM, 0.35), _outcome(task, state)
     assert terms["approach"] == pytest.approx((np.linalg.norm(target) - near) / 0.1, abs=1e-5)
     assert outcome["distance"] == pytest.approx(near, abs=1e-6)
     if abs(near - 0.003) > 1e-6:
         assert (outcome["reached"], outcome["reach_time"]) == ((1.0, 0.35) if near < 0.003 else (0.0, 0.0))
-    np.testing.assert_allclose(_observe(task, state, 0.35), np.clip((target - moved) / 0.02, -10.0, 10.0), atol=1e-4)
+    np.testing.assert_allclose(observed(task, state, 0.35), np.clip((target - moved) / 0.02, -10.0, 10.0), atol=1e-4)
     np.testing.assert_allclose(task.markers(0), target[None] + [[0.0, 0.0, 0.1]], atol=1e-7)
 
 
@@ -175,7 +134,7 @@ def test_reach_lies_down() -> None:
     task = TASKS["reach"](lattice, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": -0.1}, model)
     state = model.rest_state()
     state.position[:] += [-0.01, 0.0, -0.02]  # along the axis, which is x now, and along what was x, which is down
-    assert _terms(task, state, CALM, 0.0)["approach"] == pytest.approx(np.hypot(0.2, 0.1), abs=1e-6)
+    assert terms_of(task, state, CALM, 0.0)["approach"] == pytest.approx(np.hypot(0.2, 0.1), abs=1e-6)
     np.testing.assert_allclose(task.markers(0), [top_centre(lattice, state.position)], atol=1e-8)
 
 
@@ -192,14 +151,14 @@ def test_crawl(way: float, aside: float, direction: float) -> None:
     state, total = task.rest, 0.0
     for k in range(1, 5):
         state = replace(task.rest, position=task.rest.position + 0.25 * k * np.array([way, aside, 0.01]))
-        total += _terms(task, state, CALM, 0.05 * k)["progress"]
+        total += terms_of(task, state, CALM, 0.05 * k)["progress"]
     along, outcome = 10.0 * direction * way, _outcome(task, state)
     assert total == pytest.approx(10.0 * along, abs=1e-9)
     assert outcome["speed"] == pytest.approx(60.0 * along / 0.2, abs=1e-6)
     far = np.hypot(way, aside) > 1.01e-3
     assert outcome["drift"] == pytest.approx(np.arctan2(abs(aside), direction * way) if far else 0.0, abs=1e-6)
     assert outcome["cost_of_transport"] == 0.0
-    np.testing.assert_allclose(_observe(task, state, 0.2), [direction, 10.0 * aside], atol=1e-9)
+    np.testing.assert_allclose(observed(task, state, 0.2), [direction, 10.0 * aside], atol=1e-9)
 
 
 @pytest.mark.parametrize("strength", [1.0, np.linspace(0.5, 1.0, 90)])
@@ -209,16 +168,16 @@ def test_cost_of_transport(strength: float | FloatArray) -> None:
     task.strength = strength
     task.begin(np.random.default_rng(0), None)
     half, length = np.full(90, 0.5), muscle_lengths(task.model, task.rest.position)
-    _terms(task, task.rest, half, 0.05)
+    terms_of(task, task.rest, half, 0.05)
     short = task.rest.copy()
     for muscle in task.model.muscles:
         rows = task.model.nodes(muscle)
         middle = short.position[rows].mean(axis=0)
         short.position[rows] = middle + (short.position[rows] - middle) * (1.0 - 0.001 / length[muscle - 12])
     for state, time in ((short, 0.1), (task.rest, 0.15)):
-        _terms(task, state, half, time)
+        terms_of(task, state, half, time)
     moved = replace(task.rest, position=task.rest.position + np.array([0.02, 0.0, 0.0]))
-    _terms(task, moved, half, 0.2)
+    terms_of(task, moved, half, 0.2)
     mass = task.model.node_mass.sum()
     assert mass == pytest.approx(0.425, rel=0.01)
     work = 90 * np.mean(strength) * 0.25 * 0.001
@@ -251,7 +210,7 @@ def test_transport(height: float, off: float, angle: float, up: float) -> None:
     state.ball_position[:] = [off * np.cos(angle), off * np.sin(angle), height]
     if min(abs(height), abs(height - 0.1), abs(off - 0.0375)) < 1e-9:
         return
-    terms, outcome = _terms(task, state, CALM, 0.5), _outcome(task, state)
+    terms, outcome = terms_of(task, state, CALM, 0.5), _outcome(task, state)
     way = up * (np.clip(height, 0.0, 0.1) - 0.05625)
     end = np.sign(height - 0.05) if not 0.0 < height < 0.1 else 0.0
     lost = end == -up or (end == 0.0 and off > 0.0375)
@@ -301,7 +260,7 @@ def test_tracking(share: float, phase: float, time: float, up: bool) -> None:
     # The 8 levels span one wavelength, so sums over them do not depend on the time.
     target = 0.05 * np.cos(2 * np.pi * ((1 if up else -1) * time - np.arange(1, 9) / 8) + phase)
     np.testing.assert_allclose(task.target(np.array([time]))[0], target, atol=1e-12)
-    earned = _terms(task, _widened(share * target), CALM, time)["tracking"]
+    earned = terms_of(task, _widened(share * target), CALM, time)["tracking"]
     assert earned == pytest.approx((2.0 * share - share**2) / (1.0 + (1.0 - share) ** 2), abs=1e-9)
 
 
@@ -311,7 +270,7 @@ def test_tracking_is_bounded(deviation: list[float], wave: int) -> None:
     rng = np.random.default_rng(wave)
     command = {"speed": 0.08, "wavelength": rng.uniform(0.04, 1.0), "amplitude": rng.uniform(0.001, 0.5)}
     task = TASKS["peristalsis"](LATTICE, 0.05, command | {"phase": rng.uniform(-6.0, 6.0)})
-    assert -1.0 <= _terms(task, _widened(np.array(deviation)), CALM, 0.3)["tracking"] <= 2.0
+    assert -1.0 <= terms_of(task, _widened(np.array(deviation)), CALM, 0.3)["tracking"] <= 2.0
 
 
 @given(seed=st.integers(0, 1000), size=st.floats(1e-3, 0.5))
@@ -319,7 +278,7 @@ def test_no_still_shape_follows_a_wave(seed: int, size: float) -> None:
     """Over a whole period any fixed deviation costs, and none costs more than 1 a step."""
     task = TASKS["peristalsis"](LATTICE, 0.05, WAVE)
     deviation = np.random.default_rng(seed).uniform(-size, size, 8)
-    earned = [_terms(task, _widened(deviation), CALM, 0.05 * k)["tracking"] for k in range(20)]
+    earned = [terms_of(task, _widened(deviation), CALM, 0.05 * k)["tracking"] for k in range(20)]
     assert -1.0 <= np.mean(earned) < 0.0
 
 
@@ -341,7 +300,7 @@ def test_the_wave_is_measured_over_two_periods() -> None:
     for step in range(1, 41):
         assert set(_outcome(task, REST).values()) == {0.0}
         assert task.caption(REST) == ""
-        _terms(task, _widened(task.target(np.array([0.05 * step]))[0]), CALM, 0.05 * step)
+        terms_of(task, _widened(task.target(np.array([0.05 * step]))[0]), CALM, 0.05 * step)
     outcome = _outcome(task, REST)
     assert outcome["wave_index"] > 0.99
     assert outcome["wave_direction"] == -1.0
@@ -350,7 +309,7 @@ def test_the_wave_is_measured_over_two_periods() -> None:
     asked = "(asked: down at 0.100 m/s, 5.0 %)"
     assert task.caption(REST) == f"wave index 1.00, down at 0.100 m/s, amplitude 5.0 % {asked}"
     for step in range(41, 81):
-        _terms(task, REST, CALM, 0.05 * step)
+        terms_of(task, REST, CALM, 0.05 * step)
     assert task.caption(REST) == f"wave index 0.00, going nowhere, amplitude 0.0 % {asked}"
     task.begin(np.random.default_rng(0), None)
     assert _outcome(task, REST)["wave_index"] == 0.0
@@ -385,463 +344,35 @@ def test_a_vanishing_gait_makes_no_wave(drive: float, travels: bool) -> None:
 
 def test_captions() -> None:
     """Units, and what was asked beside what came; what stands upright leans no way."""
-    assert TASKS["extension"](LATTICE, 0.05).caption(_at(SHAPE * [1.0, 1.0, 1.311])) == "strain +31.1 %"
-    assert TASKS["compression"](LATTICE, 0.05).caption(_at(SHAPE * [1.0, 1.0, 0.8])) == "strain -20.0 %"
+    assert TASKS["extension"](LATTICE, 0.05).caption(shaped(SHAPE * [1.0, 1.0, 1.311])) == "strain +31.1 %"
+    assert TASKS["compression"](LATTICE, 0.05).caption(shaped(SHAPE * [1.0, 1.0, 0.8])) == "strain -20.0 %"
     bending = TASKS["bending"](LATTICE, 0.05, {"azimuth": np.radians(-270.0)})
-    tipped = _tipped(np.radians(24.6), np.radians(92.0))
-    assert bending.caption(tipped) == "bend 24.6 deg towards 92 deg (asked: 90 deg)"
-    assert bending.caption(_tipped(0.1, np.radians(359.7))) == "bend 5.7 deg towards 0 deg (asked: 90 deg)"
+    lean = tipped(np.radians(24.6), np.radians(92.0))
+    assert bending.caption(lean) == "bend 24.6 deg towards 92 deg (asked: 90 deg)"
+    assert bending.caption(tipped(0.1, np.radians(359.7))) == "bend 5.7 deg towards 0 deg (asked: 90 deg)"
     assert bending.caption(REST) == "bend 0.0 deg (asked: 90 deg)"
     transport = TASKS["transport"](LATTICE, 0.05, {"direction": 1.0}, CARRIER)
     state = transport.rest.copy()
     for height, end in ((0.06, ""), (0.101, ", delivered"), (-0.01, ", lost")):
         state.ball_position[0, 2] = height
-        _terms(transport, state, CALM, 2.0)
+        terms_of(transport, state, CALM, 2.0)
         way = 1e3 * (min(max(height, 0.0), 0.1) - 0.05625)
         assert transport.caption(state) == f"{way:+.1f} mm up at {way / 2:.1f} mm/s{end}"
     reach = TASKS["reach"](LATTICE, 0.05, {"azimuth": 0.0, "radius": 0.2, "rise": 0.0})
     assert reach.caption(REST) == "20.0 mm from the target"
-    there = _at(SHAPE + np.array([0.02, 0.0, 0.0]))
-    _terms(reach, there, CALM, 1.5)
+    there = shaped(SHAPE + np.array([0.02, 0.0, 0.0]))
+    terms_of(reach, there, CALM, 1.5)
     assert reach.caption(there) == "0.0 mm from the target, reached after 1.50 s"
-
-
-@pytest.mark.parametrize("height", [0.1, 0.03, 0.07, 0.11, 0.3, 0.7, 1.3])
-def test_bounds_of_commands_are_reached(height: float) -> None:
-    """Each may be given exactly as documented, however its arithmetic rounds; a thousandth beyond is refused."""
-    lattice = build_lattice(LatticeDesign(height=height, diameter=0.75 * height, structure_radius=0.05 * height))
-    spacing = float(lattice.level_height[1] - lattice.level_height[0])
-    still, long = {"speed": height}, {"wavelength": 10 * height}
-    for name, value, outwards, rest in (
-        ("speed", 0.1 * height, 0.999, {}),
-        ("speed", height / 10, 0.999, {}),
-        ("speed", -0.1 * height, 0.999, {}),
-        ("speed", 10 * height, 1.001, long),
-        ("speed", -height / 0.1, 1.001, long),
-        ("wavelength", 3 * spacing, 0.999, still),
-        ("wavelength", 3 * height / 8, 0.999, still),
-        ("wavelength", 0.375 * height, 0.999, still),
-        ("wavelength", height / 0.1, 1.001, {}),
-        ("amplitude", 0.001, 0.999, {}),
-        ("amplitude", 0.5, 1.001, {}),
-        ("phase", 2 * np.pi, 1.001, {}),
-        ("phase", -2 * np.pi, 1.001, {}),
-    ):
-        task = TASKS["peristalsis"](lattice, 0.05, rest | {name: value})
-        task.begin(np.random.default_rng(0), {name: value})
-        assert np.all(np.abs(_observe(task, REST, 0.0).astype(np.float32)) <= np.array(task.bounds, dtype=np.float32))
-        with pytest.raises(ValueError, match=rf"^command\['{name}'\]"):
-            TASKS["peristalsis"](lattice, 0.05, rest | {name: outwards * value})
-    for azimuth in (2 * np.pi, -2 * np.pi):
-        task = TASKS["bending"](lattice, 0.05, {"azimuth": azimuth})
-        task.begin(np.random.default_rng(0), {})
-        assert task.command == {"azimuth": azimuth}
-
-
-@pytest.mark.parametrize("command", [{"speed": 0.01, "wavelength": 0.1}, {"wavelength": 0.0375, "speed": 0.1}])
-def test_bounds_of_the_default_design(command: dict[str, float]) -> None:
-    """A tenth of a height a second, and three level spacings."""
-    task = TASKS["peristalsis"](LATTICE, 0.05, command)
-    task.begin(np.random.default_rng(0), {})
-    assert {name: task.command[name] for name in command} == command
 
 
 def test_a_free_body_is_not_paid_for_tilting() -> None:
     """Tipped over whole it neither bends, stretches nor shrinks; the same body on a clamped base bends."""
     lattice = build_lattice(LatticeDesign(base="free"))
     for name, term in (("bending", "bend"), ("extension", "strain"), ("compression", "strain")):
-        terms = _terms(TASKS[name](lattice, 0.05), _tipped(0.7, 1.0), CALM, 0.0)
+        terms = terms_of(TASKS[name](lattice, 0.05), tipped(0.7, 1.0), CALM, 0.0)
         assert terms[term] == pytest.approx(0.0, abs=1e-12)
     clamped = TASKS["bending"](LATTICE, 0.05, {"azimuth": 1.0})
-    assert _terms(clamped, _tipped(0.7, 1.0), CALM, 0.0)["bend"] > 0.69
-
-
-def test_commands_are_drawn_within_their_ranges(task: Task) -> None:
-    """Seeded, and spread over the range."""
-    drawn = []
-    for seed in range(50):
-        task.begin(np.random.default_rng(seed), {})
-        drawn.append(task.command)
-    for name, bounds in task.commands.items():
-        values = [command[name] for command in drawn]
-        assert bounds.minimum <= bounds.low <= min(values) < max(values) <= bounds.high <= bounds.maximum
-        assert max(values) - min(values) > 0.8 * (bounds.high - bounds.low)
-    task.begin(np.random.default_rng(7), None)
-    assert task.command == drawn[7]
-
-
-def test_lists_are_drawn_from() -> None:
-    """Every number of them, and nothing else; the others stay as they were."""
-    free, few = TASKS["bending"](LATTICE, 0.05), TASKS["bending"](LATTICE, 0.05, {"azimuth": [0.0, 1.0, 2.0]})
-    drawn = []
-    for seed in range(30):
-        few.begin(np.random.default_rng(seed), None)
-        drawn.append(few.command["azimuth"])
-        free.begin(np.random.default_rng(seed), {"azimuth": (4.0,)})
-        assert free.command == {"azimuth": 4.0}
-    assert set(drawn) == {0.0, 1.0, 2.0}
-    hostile: list[Any] = [[], [0.0, 7.0], [[0.0]], ["north"]]
-    for wrong in hostile:
-        with pytest.raises(ValueError, match=r"^command\['azimuth'\](\[[01]\])? = "):
-            TASKS["bending"](LATTICE, 0.05, {"azimuth": wrong})
-    with pytest.raises(ValueError, match=r"^command: .*4 control steps"):
-        TASKS["peristalsis"](LATTICE, 0.05, {"speed": [0.1, 0.9]})
-
-
-def test_fixed_commands_leave_the_others_alone() -> None:
-    """The constructor fixes for good, options for one episode, and what is drawn does not shift."""
-    free, held = TASKS["peristalsis"](LATTICE, 0.05), TASKS["peristalsis"](LATTICE, 0.05, {"speed": -0.09})
-    for task in (free, held):
-        task.begin(np.random.default_rng(3), {"wavelength": 0.11})
-    assert held.command == free.command | {"speed": -0.09, "wavelength": 0.11}
-    held.begin(np.random.default_rng(3), {"speed": 0.1})
-    assert held.command["speed"] == 0.1
-    held.begin(np.random.default_rng(3), None)
-    assert held.command["speed"] == -0.09
-    assert held.command["wavelength"] != 0.11
-
-
-@pytest.mark.parametrize(
-    ("name", "command", "message"),
-    [
-        ("extension", {"azimuth": 0.0}, r"^command: there is no 'azimuth'; there are none"),
-        ("bending", {"speed": 0.1}, r"^command: there is no 'speed'; there are azimuth"),
-        ("bending", {"azimuth": 7.0}, r"^command\['azimuth'\] = 7.0: must be a number from -6.28"),
-        ("bending", {"azimuth": 10**400}, r"^command\['azimuth'\]"),
-        ("bending", {"azimuth": True}, r"^command\['azimuth'\] = True"),
-        ("bending", {"azimuth": "north"}, r"^command\['azimuth'\] = 'north'"),
-        ("bending", [0.0], r"^command = \[0.0\]: must be a mapping"),
-        ("peristalsis", {"speed": 0.0}, r"^command\['speed'\] = 0: at least 0.01"),
-        ("peristalsis", {"speed": float("nan")}, r"^command\['speed'\] = nan"),
-        ("peristalsis", {"speed": 1.0}, r"^command: .* 4 control steps"),
-        ("peristalsis", {"wavelength": 0.03}, r"^command\['wavelength'\] = 0.03: must be a number from 0.0375"),
-        ("peristalsis", {"amplitude": -0.1}, r"^command\['amplitude'\]"),
-    ],
-)
-def test_wrong_commands(name: str, command: Any, message: str) -> None:
-    """At construction and, under its other name, at reset; a refused reset leaves the task as it was."""
-    with pytest.raises(ValueError, match=message):
-        TASKS[name](LATTICE, 0.05, command)
-    task = TASKS[name](LATTICE, 0.05)
-    before = dict(task.command)
-    with pytest.raises(ValueError, match=message.replace("command", "options", 1)):
-        task.begin(np.random.default_rng(0), command)
-    assert task.command == before
-
-
-@pytest.mark.parametrize(
-    ("name", "design", "message"),
-    [
-        ("bending", LatticeDesign(n_pairs=2, period_ratio=1.0), r"^lattice: 2 sites at the top span no plane"),
-        ("peristalsis", LatticeDesign(n_pairs=2, period_ratio=2.0), r"^design: peristalsis needs at least 3 levels"),
-        (
-            "extension",
-            LatticeDesign(n_pairs=2, period_ratio=1.0, base="free"),
-            r"^lattice: 2 sites at the bottom span no plane",
-        ),
-        (
-            "peristalsis",
-            LatticeDesign(phases=(0.0, 0.9, 2.0, 3.1, 4.3, 5.2) * 2, period_ratio=1.0),
-            r"^design: peristalsis needs at least 3 levels .* got 0",
-        ),
-    ],
-)
-def test_lattices_that_cannot(name: str, design: LatticeDesign, message: str) -> None:
-    """The error says what the lattice lacks."""
-    with pytest.raises(ValueError, match=message):
-        TASKS[name](build_lattice(design), 0.05)
-
-
-class Stand(Task):
-    """The least that a task must have: be paid for nothing but lying low."""
-
-    name = "stand"
-    time_limit = 500
-    rewards: ClassVar[Mapping[str, RewardTerm]] = {"height": RewardTerm(2.0, -3.0, -1.0)}
-
-    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
-        """Minus the greatest height."""
-        return {"height": -motion.position[:, :, 2].max(axis=-1) / 0.1}
-
-    def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
-        """Greatest height [m]."""
-        return {"height": motion.position[:, :, 2].max(axis=-1)}
-
-
-class Unbounded(Stand):
-    """As `Stand`, without a range."""
-
-    rewards: ClassVar[Mapping[str, RewardTerm]] = {"height": RewardTerm(2.0)}
-
-
-class Abstract(Task):
-    """No task: it has a name only."""
-
-    name = "abstract"
-
-
-@pytest.mark.parametrize(
-    ("task", "message"),
-    [
-        ("swimming", r"^task = 'swimming': must be one of extension, compression, bending, peri"),
-        (None, r"^task = None: must be one of"),
-        (["bending"], r"^task = \['bending'\]: must be one of"),
-        (LatticeDesign, r"^task = <class .*LatticeDesign'>: must be one of"),
-        ("json:loads", r"^task = 'json:loads': must be one of .* a subclass of Task"),
-        ("json:nothing", r"^task = 'json:nothing': cannot be imported: AttributeError"),
-        ("no_such_module:Task", r"^task = 'no_such_module:Task': cannot be imported: ModuleNotFoundError"),
-        (":", r"^task = ':': cannot be imported"),
-        (Abstract, r"^task = <class .*Abstract'>: lacks time_limit, rewards, outcome, terms"),
-        ("lattice_gym.tasks.base:Task", r"^task = .* lacks name, time_limit, rewards, outcome, terms"),
-    ],
-)
-def test_what_is_no_task(task: Any, message: str) -> None:
-    """The error says what would be one, or what is missing."""
-    with pytest.raises(ValueError, match=message):
-        resolve_task(task)
-
-
-def _stand(**members: Any) -> type[Task]:
-    """Task that stands, but for some members."""
-    return type("Odd", (Stand,), members)
-
-
-@pytest.mark.parametrize(
-    ("member", "value", "message"),
-    [
-        ("name", "", r"^Odd.name = '': must be a text of at least one character$"),
-        ("name", 3, r"^Odd.name = 3: must be a text"),
-        ("time_limit", 40.0, r"^Odd.time_limit = 40.0: must be a whole number of control steps, such as 40$"),
-        ("time_limit", 0, r"^Odd.time_limit = 0: must be a whole number"),
-        ("time_limit", -3, r"^Odd.time_limit = -3: must be a whole number"),
-        ("time_limit", True, r"^Odd.time_limit = True: must be a whole number"),
-        ("rewards", ["height"], r"^Odd.rewards = \['height'\]: must be a mapping of names to RewardTerm$"),
-        (
-            "rewards",
-            {"height": (1.0, 0.0, 1.0)},
-            r"^Odd.rewards\['height'\] = .*; use RewardTerm\(weight, low, high\)$",
-        ),
-        ("muscles", None, r"^Odd.muscles = None: must be a method; leave it out for the default$"),
-        ("observe", (1.0,), r"^Odd.observe = \(1.0,\): must be a method"),
-    ],
-)
-def test_values_that_no_task_can_have(member: str, value: Any, message: str) -> None:
-    """The error names the class, the value and the way out."""
-    with pytest.raises(ValueError, match=message):
-        resolve_task(_stand(**{member: value}))
-
-
-@pytest.mark.parametrize(
-    ("written", "meant"),
-    [
-        ("over", "terminated"),
-        ("blank_memory", "initial_memory"),
-        ("surroundings", "world"),
-        ("reset", "initial_memory"),
-        ("observes", "observe"),
-        ("command_range", "command_ranges"),
-        ("init_memory", "initial_memory"),
-        ("muscle", "muscles"),
-    ],
-)
-def test_a_misspelt_part_is_told_once(written: str, meant: str) -> None:
-    """With the name that is meant."""
-    odd = _stand(**{written: lambda self: None})
-    with pytest.warns(UserWarning, match=rf"^Odd.{written} is no part of Task, .*: if {meant} is meant, rename it$"):
-        resolve_task(odd)
-    assert resolve_task(odd) is odd
-
-
-def test_names_of_its_own_are_a_tasks_own_matter() -> None:
-    """No warning for what resembles no part of a task."""
-    names = ("way", "target", "best", "distance", "angle", "record", "origin", "check_angle", "sign", "REACHED")
-    resolve_task(_stand(**dict.fromkeys(names, 1.0)))
-
-
-@pytest.mark.parametrize("value", [0.5, np.zeros(2), np.zeros((1, 1))])
-@pytest.mark.parametrize("method", ["terms", "outcome"])
-def test_a_method_must_give_a_number_a_worm(method: str, value: Any) -> None:
-    """The first step says which method does not, and what it gave."""
-    odd = _stand(**{method: lambda self, *arguments: {"height": value}})
-    env = LatticeWormEnv(odd, fidelity="fast")
-    env.reset(seed=0)
-    shape = re.escape(str(np.shape(value)))
-    with pytest.raises(
-        ValueError, match=rf"^Odd.{method}: 'height' has shape {shape}: must have \(1,\), one number a worm$"
-    ):
-        env.step(np.zeros(env.action_space.shape))
-
-
-def test_methods_that_give_nothing() -> None:
-    """As where a return was forgotten."""
-    env = LatticeWormEnv(_stand(outcome=lambda self, motion, worms: None), fidelity="fast")
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"^Odd.outcome = None: must be a mapping of names to arrays$"):
-        env.step(np.zeros(env.action_space.shape))
-    with pytest.raises(ValueError, match=r"^Odd.muscles = None: must be MuscleLayout; return one, or leave the method"):
-        LatticeWormEnv(_stand(muscles=classmethod(lambda cls, lattice: None)), fidelity="fast")
-
-
-def test_tasks_by_class_and_by_string() -> None:
-    """A name, a class and "module:Class" are the same."""
-    for name, kind in TASKS.items():
-        assert resolve_task(name) is resolve_task(kind) is resolve_task(f"{kind.__module__}:{kind.__name__}") is kind
-        assert task_label(kind) == name
-    assert resolve_task(task_label(Stand)) is Stand
-
-    class Local(Stand):
-        """Cannot be imported."""
-
-    assert resolve_task(Local) is Local
-    with pytest.raises(ValueError, match=r"^task = .*Local'>: cannot be imported as"):
-        task_label(Local)
-
-
-def test_reward_weights() -> None:
-    """They change their terms and nothing else; 0 takes a term away, and less than 0 turns it round."""
-    weights = {"sideways": 3.0, "effort": 0.0}
-    plain, changed = TASKS["bending"](LATTICE, 0.05), TASKS["bending"](LATTICE, 0.05, reward_weights=weights)
-    assert changed.weights == {"bend": 1.0, "sideways": 3.0, "effort": 0.0}
-    state, active = _tipped(0.5, 1.0), np.full(90, 0.5)
-    own, other = _terms(plain, state, active, 0.05), _terms(changed, state, active, 0.05)
-    assert other == own | {"sideways": 3.0 * own["sideways"], "effort": 0.0}
-    turned = TASKS["bending"](LATTICE, 0.05, reward_weights={"bend": -1})
-    assert _terms(turned, state, active, 0.05)["bend"] == -own["bend"]
-
-
-@pytest.mark.parametrize(
-    ("weights", "message"),
-    [
-        ({"speed": 1.0}, r"^reward_weights: there is no 'speed'; there are bend, sideways, effort$"),
-        ({"divergence": 1.0}, r"^reward_weights: there is no 'divergence'"),
-        ({"bend": "much"}, r"^reward_weights\['bend'\] = 'much': must be a number from -1e\+06 to 1e\+06$"),
-        ({"bend": True}, r"^reward_weights\['bend'\] = True"),
-        ({"bend": float("nan")}, r"^reward_weights\['bend'\] = nan"),
-        ({"bend": 1e7}, r"^reward_weights\['bend'\] = 10000000.0"),
-        ([1.0], r"^reward_weights = \[1.0\]: must be a mapping"),
-    ],
-)
-def test_wrong_reward_weights(weights: Any, message: str) -> None:
-    """The error names the known terms."""
-    with pytest.raises(ValueError, match=message):
-        TASKS["bending"](LATTICE, 0.05, reward_weights=weights)
-    with pytest.raises(ValueError, match=message):
-        LatticeWormEnv("bending", reward_weights=weights)
-
-
-@pytest.mark.parametrize("factor", [1.0, -3.0, 100.0, 0.0])
-def test_no_episode_is_worse_than_divergence(task: Task, factor: float) -> None:
-    """Not even the best one cut short by it, beside the worst that lasts; 1000 where nobody changes the weights.
-
-    What is shown is the arithmetic: by the ranges that a task states, of each step or of the whole episode. Two of
-    them are no theorem: nothing crawls two body lengths a second, and rods tear before they are six times as long.
-    """
-    weights = {name: factor * weight for name, weight in task.weights.items()}
-    changed = type(task)(task.lattice, 0.05, reward_weights=weights)
-    ranges = {**task.rewards, "effort": RewardTerm(EFFORT_WEIGHT, -1.0, 0.0)}
-    ends = [
-        sorted((weights[name] * term.low * steps, weights[name] * term.high * steps))
-        for name, term in ranges.items()
-        for steps in [1 if term.per_episode else task.time_limit]
-    ]
-    worst, best = (sum(end[side] for end in ends) for side in (0, 1))
-    assert changed.penalty == pytest.approx(max(MIN_PENALTY, best - worst), rel=1e-12)
-    if factor == 1.0:
-        assert changed.penalty == MIN_PENALTY > best - worst
-
-
-def test_penalty_of_a_foreign_task() -> None:
-    """An episode that may end at once earns nothing: 0 counts as a value although the range is below it."""
-    assert Stand(LATTICE, 0.05).penalty == pytest.approx(500 * (2.0 * 3.0 + EFFORT_WEIGHT))
-    assert Stand(LATTICE, 0.05, reward_weights={"height": 0.1}).penalty == MIN_PENALTY
-    env = LatticeWormEnv(Stand, fidelity="fast", dt=0.005, allow_large_dt=True)
-    env.reset(seed=0)
-    terminated, reward, info = False, 0.0, dict[str, Any]()
-    while not terminated:
-        _, reward, terminated, _, info = env.step(np.ones(env.action_space.shape))
-    assert reward == info["reward_terms"]["divergence"] == -env.task.penalty == -3005.0
-    assert env.task.caption(env.state).startswith("height 0.1")
-
-
-def test_a_range_that_is_not_known_is_told() -> None:
-    """With the figure and the way out; a weight of 0 needs none."""
-    message = r"^stand: .*'height' is -inf to inf.*costs 1000; .*Unbounded.rewards\['height'\] = RewardTerm\(2, low"
-    with pytest.warns(UserWarning, match=message):
-        LatticeWormEnv(Unbounded, fidelity="fast")
-    LatticeWormEnv(Unbounded, fidelity="fast", reward_weights={"height": 0.0})
-
-
-def test_terms_must_be_those_that_were_declared() -> None:
-    """Neither more nor fewer, and none of those of every task."""
-
-    class Wrong(Stand):
-        """Gives another term."""
-
-        def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
-            return {"depth": np.zeros(1)}
-
-    with pytest.raises(ValueError, match=r"^Wrong.terms gave depth: must give the terms of its rewards, height"):
-        _terms(Wrong(LATTICE, 0.05), REST, CALM, 0.05)
-
-    class Taken(Stand):
-        """Declares what every task has."""
-
-        rewards: ClassVar[Mapping[str, RewardTerm]] = {"effort": RewardTerm(1.0, -1.0, 0.0)}
-
-    with pytest.raises(ValueError, match=r"^Taken.rewards: effort is a term of every task"):
-        Taken(LATTICE, 0.05)
-
-
-def test_design_for() -> None:
-    """The task's own values, with changes; what is no field is refused."""
-    assert design_for("crawl", height=0.2) == LatticeDesign(base="free", damping=0.003, height=0.2)
-    assert design_for(Stand) == LatticeDesign()
-    with pytest.raises(ValueError, match="speed"):
-        design_for("crawl", speed=1.0)
-
-
-def test_a_design_that_drops_a_value_is_told() -> None:
-    """Once, with field, values and the way out; not where the value was chosen, nor for a dict."""
-    with pytest.warns(UserWarning, match="^design: ") as caught:
-        LatticeWormEnv("transport", LatticeDesign(elements_per_segment=2))
-    (one,) = caught
-    assert str(one.message) == (
-        "design: this LatticeDesign has the default max_tension = 0.5 where transport has max_tension = 1.0: start "
-        "from lattice_gym.design_for('transport', ...); where the default is meant, give it in a dict"
-    )
-    for design in (
-        design_for("transport", elements_per_segment=2),
-        design_for("transport", elements_per_segment=2, max_tension=0.5),
-        LatticeDesign(max_tension=0.9),
-        {"max_tension": 0.5},
-    ):
-        LatticeWormEnv("transport", design, fidelity="fast")
-    misspelt = type("Misspelt", (TASKS["extension"],), {"name": "misspelt", "design": {"hight": 0.3}})
-    for either in (LatticeDesign(), None):
-        with pytest.raises(ValueError, match="there is no 'hight'; there are"):
-            LatticeWormEnv(misspelt, either)
-
-
-@pytest.mark.parametrize("many", [False, True])
-def test_an_id_with_another_time_limit_is_told_once(many: bool) -> None:
-    """Unless it was given by hand: of one worm at the end of the first episode that the registered limit has ended."""
-
-    class Nod(Stand):
-        """Told of once in a process, hence a class of its own."""
-
-    def play(steps: int, **arguments: Any) -> None:
-        """Play one episode."""
-        make: Any = gymnasium.make_vec if many else gymnasium.make
-        env = make("LatticeWorm-v0", task=Nod, fidelity="fast", control_dt=0.005, **arguments)
-        env.reset(seed=0)
-        for _ in range(steps):
-            env.step(np.zeros(env.action_space.shape))
-        env.close()
-
-    play(40, max_episode_steps=40)
-    with pytest.warns(UserWarning, match=r"^LatticeWorm-v0 ends episodes after 200 steps, stand is made for 500: "):
-        play(0 if many else 200)
-    play(0 if many else 200)
+    assert terms_of(clamped, tipped(0.7, 1.0), CALM, 0.0)["bend"] > 0.69
 
 
 def test_slow_control_steps_cannot_follow() -> None:
