@@ -26,7 +26,9 @@ def shaped(position: FloatArray) -> RodState:
 
 def terms_of(task: Task, state: RodState, activation: FloatArray, time: float) -> dict[str, float]:
     """Terms of the only worm."""
-    terms = task.reward_terms(Motion.of(state), activation[None], np.array([time]))
+    step_end = Motion.of(state), activation[None], np.array([time])
+    task.memory.update(task.remember(*step_end))
+    terms = task.reward_terms(*step_end)
     return {name: value.item() for name, value in terms.items()}
 
 

@@ -13,7 +13,9 @@ from task_scenes import CALM, LATTICE, REST, terms_of, tipped
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.envs.core import Worms
 from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.envs.scene import Scene
 from lattice_gym.physics.state import Motion
 from lattice_gym.tasks.base import EFFORT_WEIGHT, MIN_PENALTY, RewardTerm, Task
 from lattice_gym.tasks.registry import TASKS, design_for, resolve_task, task_label
@@ -138,6 +140,56 @@ def test_a_method_must_give_a_number_a_worm(method: str, value: Any) -> None:
     with pytest.raises(
         ValueError, match=rf"^Odd.{method}: 'height' has shape {shape}: must have \(1,\), one number a worm$"
     ):
+        env.step(np.zeros(env.action_space.shape))
+
+
+class Count(Stand):
+    """As `Stand`, and count the control steps of the episode."""
+
+    def initial_memory(self) -> dict[str, FloatArray]:
+        """None yet."""
+        return {"steps": np.zeros(())}
+
+    def remember(self, motion: Motion, activation: FloatArray, time: FloatArray) -> Mapping[str, FloatArray]:
+        """One more."""
+        return {"steps": self.memory["steps"] + 1.0}
+
+
+def test_a_step_that_failed_is_not_remembered() -> None:
+    """Nor one that a worm does not take; others remember theirs, and a new episode nothing."""
+    worms = Worms(Scene(Count, fidelity="fast"), 3)
+    for worm in range(3):
+        worms.begin(worm, np.random.default_rng(0))
+    torn = worms.state(1)
+    torn.velocity[worms.scene.lattice.n_node // 2] = 1e6
+    worms.restore(torn, 1)
+    command, found = np.zeros((3, worms.scene.n_group)), []
+    for live in (np.ones(3, dtype=bool), np.array([True, False, False])):
+        worms.step(command, live)
+        found.append(worms.task.memory["steps"].tolist())
+    assert worms.failed.tolist() == [False, True, False]
+    assert found == [[1.0, 0.0, 1.0], [2.0, 0.0, 1.0]]
+    worms.begin(0, np.random.default_rng(0))
+    assert worms.task.memory["steps"].tolist() == [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("gives", "message"),
+    [
+        (None, r"^Odd.remember = None: must be a mapping of names to arrays$"),
+        ({"step": np.ones(1)}, r"^Odd.remember: there is no 'step'; there are steps$"),
+        (
+            {"steps": np.ones((1, 1))},
+            r"^Odd.remember: 'steps' has shape \(1, 1\): must have \(1,\), a row a worm as `initial_memory` has it$",
+        ),
+    ],
+)
+def test_what_cannot_be_remembered(gives: Any, message: str) -> None:
+    """The first step says what is wrong."""
+    odd = type("Odd", (Count,), {"remember": lambda self, *arguments: gives})
+    env = LatticeWormEnv(odd, fidelity="fast")
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=message):
         env.step(np.zeros(env.action_space.shape))
 
 

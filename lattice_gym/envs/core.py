@@ -98,7 +98,7 @@ class Worms:
         self.observer = Observer(scene, self.task)
         self._least_reward, self._most_reward = _reward_bounds(self.task)
         self._warned = False
-        self._unchecked = {"terms", "outcome"}
+        self._unchecked = {"terms", "outcome", "remember"}
 
     @property
     def group_activation(self) -> FloatArray:
@@ -312,19 +312,31 @@ class Worms:
         return sound
 
     def _reward_terms(self, sound: Mask | None, live: Mask | None) -> dict[str, FloatArray]:
-        """Reward terms of the step that ends, shape (n_worm,) each; None: all worms are sound."""
-        lost = None if sound is None else np.flatnonzero(~sound)
-        memory = {} if lost is None else self.task.copy_memory(lost)
-        terms = self.task.reward_terms(self.motion, self.activation, self._sound_time)
+        """Let the task remember the step that ends, and return its reward terms, shape (n_worm,) each.
+
+        None: all worms are sound.
+        """
+        step_end = self.motion, self.activation, self._sound_time
+        self._take_over(self.task.remember(*step_end), sound)
+        terms = self.task.reward_terms(*step_end)
         if "terms" in self._unchecked:
             self._check_rows("terms", terms, self.n_worm)
-        terms[DIVERGENCE] = np.zeros(self.n_worm)
-        if lost is not None:
-            self.task.restore_memory(lost, memory)
-            for values in terms.values():
-                values[lost] = 0.0
-            terms[DIVERGENCE][self._failed if live is None else self._failed & live] = -self.task.penalty
-        return terms
+        if sound is None:
+            return terms | {DIVERGENCE: np.zeros(self.n_worm)}
+        failed = self._failed if live is None else self._failed & live
+        paid = {name: np.where(sound, values, 0.0) for name, values in terms.items()}
+        return paid | {DIVERGENCE: np.where(failed, -self.task.penalty, 0.0)}
+
+    def _take_over(self, changes: Mapping[str, FloatArray], sound: Mask | None) -> None:
+        """Change the memory of the task, of sound worms; None: of all."""
+        memory = self.task.memory
+        if "remember" in self._unchecked:
+            self._check_memory(changes)
+        for name, values in changes.items():
+            if sound is None:
+                memory[name] = np.array(values)  # What it is made of may be written anew in the next step.
+            else:
+                memory[name] = np.where(sound.reshape(-1, *[1] * (memory[name].ndim - 1)), values, memory[name])
 
     def _rest(self, shape: tuple[int, ...]) -> FloatArray:
         """State of muscles long at rest, shape (n_state, *shape)."""
@@ -347,6 +359,15 @@ class Worms:
             if np.shape(value) != (n,):
                 raise ValueError(f"{label}: {name!r} has shape {np.shape(value)}: must have ({n},), one number a worm")
         self._unchecked.discard(method)
+
+    def _check_memory(self, changes: Mapping[str, FloatArray]) -> None:
+        """Refuse what the task would remember unless it has a place for it; done at its first call."""
+        label, memory = f"{type(self.task).__name__}.remember", self.task.memory
+        for name, value in names(label, changes, memory, "arrays").items():
+            if np.shape(value) != memory[name].shape:
+                must = f"must have {memory[name].shape}, a row a worm as `initial_memory` has it"
+                raise ValueError(f"{label}: {name!r} has shape {np.shape(value)}: {must}")
+        self._unchecked.discard("remember")
 
     def _check_reward(self, reward: FloatArray, terms: Mapping[str, FloatArray]) -> None:
         """Refuse NaN, and warn once of rewards beyond the declared ranges, which set the penalty of a divergence."""

@@ -167,7 +167,7 @@ class Task(ABC):
         }
         """The numbers now commanded, by name, shape (n_worm,) each."""
         self.memory = {name: np.repeat(value[None], n_worm, axis=0) for name, value in self.initial_memory().items()}
-        """What a task keeps within an episode, by name, a row a worm."""
+        """What a task keeps within an episode, by name, a row a worm; only `begin` and `remember` change it."""
 
     @classmethod
     def world(cls, lattice: Lattice) -> World:
@@ -234,7 +234,7 @@ class Task(ABC):
     def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
         """Values of `rewards` at the end of a control step, not yet weighted, shape (n_worm,) each.
 
-        Called once for each step, in order.
+        `memory` has that step already, see `remember`.
 
         Parameters
         ----------
@@ -248,7 +248,7 @@ class Task(ABC):
         """
 
     def reward_terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
-        """Signed parts of the reward, effort last, shape (n_worm,) each; arguments and calls as those of `terms`."""
+        """Signed parts of the reward, effort last, shape (n_worm,) each; arguments as those of `terms`."""
         values = self.terms(motion, activation, time)
         if values.keys() != self.rewards.keys():
             raise ValueError(
@@ -299,14 +299,12 @@ class Task(ABC):
         """Memory of one worm at the start of its episode, by name; see `memory`."""
         return {}
 
-    def copy_memory(self, worms: IntArray) -> dict[str, FloatArray]:
-        """Copy of the memory of some worms."""
-        return {name: values[worms] for name, values in self.memory.items()}
+    def remember(self, motion: Motion, activation: FloatArray, time: FloatArray) -> Mapping[str, FloatArray]:
+        """Return what the control step that ends changes in `memory`, by name, a row a worm; arguments as of `terms`.
 
-    def restore_memory(self, worms: IntArray, memory: Mapping[str, FloatArray]) -> None:
-        """Restore memory from `copy_memory`, which undoes the step since."""
-        for name, values in memory.items():
-            self.memory[name][worms] = values
+        Called once for each step, in order and before `terms`. It is taken over for worms whose physics did not fail.
+        """
+        return {}
 
     def command_ranges(self) -> dict[str, Command]:
         """Bounds of every commanded number, by name; none by default."""

@@ -71,29 +71,31 @@ class Crawl(Task):
             raise ValueError("world.lying = False: a worm that crawls must lie")
 
     def initial_memory(self) -> dict[str, FloatArray]:
-        """Where it started, what its muscles have done, and when that was."""
+        """Where it started and is, its way in the last step, what its muscles have done, and when that was."""
         length = muscle_lengths(self.model, self.rest.position)
         start = mass_centre(self.model, self.rest.position)
         nothing = np.zeros(())
         moved = {"start": start, "centre": start, "length": length, "activation": 0.0 * length}
-        return moved | {"work": nothing, "time": nothing}
+        return moved | {"way": nothing, "work": nothing, "time": nothing}
 
     def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Commanded direction along x, and how far the body is off course, to +y, in body lengths."""
         aside = self._displacement(motion, self.memory["start"])[:, 1]
         return np.array([self.commanded["direction"], np.minimum(np.maximum(aside, -COMMAND_BOUND), COMMAND_BOUND)]).T
 
-    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
-        """Way along the commanded direction in this step [body lengths]."""
+    def remember(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+        """Way along the commanded direction in this step [body lengths], and the work of the muscles so far [J]."""
         centre, length = mass_centre(self.model, motion.position), muscle_lengths(self.model, motion.position)
         before, design = self.memory, self.lattice.design
         way = (centre - before["centre"])[:, 0] * self.commanded["direction"] / design.height
         # Tension is linear in time over the step, so its mean is that of its ends.
         tension = 0.5 * design.max_tension * self.strength * (before["activation"] + activation)
         work = before["work"] + (tension * np.maximum(before["length"] - length, 0.0)).sum(axis=-1)
-        self.memory |= {"centre": centre, "length": length, "activation": activation.copy(), "work": work}
-        self.memory["time"] = time.copy()
-        return {"progress": way}
+        return {"centre": centre, "way": way, "length": length, "activation": activation, "work": work, "time": time}
+
+    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+        """Way along the commanded direction in this step [body lengths]."""
+        return {"progress": self.memory["way"]}
 
     def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Speed along the command [body lengths a minute], drift off it [rad] and cost of transport, see env.py."""

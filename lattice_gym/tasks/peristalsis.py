@@ -111,12 +111,16 @@ class Peristalsis(Task):
         found: FloatArray = self.memory["record"][worm, rows]
         return found
 
+    def remember(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+        """Deviations of the ring radii in this step, in the place of those that lie a window back."""
+        steps, record = self.memory["steps"], self.memory["record"].copy()
+        deviation = ring_radii(self.lattice, motion.position) / self.rest_radius - 1.0
+        record[self._rows(steps)] = deviation[:, self.first :]
+        return {"steps": steps + 1.0, "record": record}
+
     def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
         """Share of the commanded wave that is followed."""
-        deviation = (ring_radii(self.lattice, motion.position) / self.rest_radius - 1.0)[:, self.first :]
-        steps = self.memory["steps"]
-        self.memory["record"][np.arange(self.n_worm), steps.astype(np.int64) % self._window] = deviation
-        self.memory["steps"] = steps + 1.0
+        deviation = self.memory["record"][self._rows(self.memory["steps"] - 1.0)]
         target = self.target(time)
         error = deviation - target
         # sum target^2 - sum (deviation - target)^2, without the rounding of a difference
@@ -166,6 +170,10 @@ class Peristalsis(Task):
         return peristalsis_gait(
             lattice, layout, **required_commands(cls.name, command, "speed", "wavelength", "amplitude", "phase")
         )
+
+    def _rows(self, steps: FloatArray) -> tuple[IntArray, IntArray]:
+        """Place in the record of the step that follows so many, of each worm."""
+        return np.arange(self.n_worm), steps.astype(np.int64) % self._window
 
     def _record_is_full(self, worm: int) -> bool:
         """Whether two commanded periods have passed."""

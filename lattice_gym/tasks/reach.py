@@ -62,8 +62,8 @@ class Reach(GoalTask):
         self.axes = base_frame(self.lattice, rest)
 
     def initial_memory(self) -> dict[str, FloatArray]:
-        """When the target was first reached [s]; 0: not yet."""
-        return {"reach_time": np.zeros(())}
+        """Where the top is, as a goal, and when the target was first reached [s]; 0: not yet."""
+        return {"achieved": self.achieved(Motion.of(self.rest))[0], "reach_time": np.zeros(())}
 
     def achieved(self, motion: Motion) -> npt.NDArray[np.float32]:
         """Displacement of the top's centre over GOAL_SCALE body lengths, shape (n, 3)."""
@@ -94,12 +94,15 @@ class Reach(GoalTask):
         way = np.clip(self.desired() - self.achieved(motion), -COMMAND_BOUND, COMMAND_BOUND)
         return np.asarray(way, dtype=np.float64)
 
+    def remember(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, npt.NDArray[Any]]:
+        """Where the top is, and the time where that is the target for the first time."""
+        achieved, reached = self.achieved(motion), self.memory["reach_time"]
+        new = (reached == 0.0) & (_goal_distance(achieved, self.desired()) <= self.REACHED)
+        return {"achieved": achieved, "reach_time": np.where(new, time, reached)}
+
     def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
         """How much nearer the target is than at rest [body lengths]."""
-        achieved, desired, reached = self.achieved(motion), self.desired(), self.memory["reach_time"]
-        new = (reached == 0.0) & (_goal_distance(achieved, desired) <= self.REACHED)
-        self.memory["reach_time"] = np.where(new, time, reached)
-        return {"approach": self.goal_reward(achieved, desired)}
+        return {"approach": self.goal_reward(self.memory["achieved"], self.desired())}
 
     def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Distance from the target [m], whether it was reached at all (1 or 0), and when [s], 0 if not."""

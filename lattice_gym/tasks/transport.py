@@ -71,9 +71,9 @@ class Transport(Task):
             raise ValueError("world.ball = None: there is nothing to carry")
 
     def initial_memory(self) -> dict[str, FloatArray]:
-        """Where the ball started, where it was last, and when that was."""
-        height = self._projection(Motion.of(self.rest)).height[0]
-        return {"start": height, "height": height, "time": np.zeros(())}
+        """Where the ball started and is, its way in the last step, whether that lost it, and when that was."""
+        height, nothing = self._projection(Motion.of(self.rest)).height[0], np.zeros(())
+        return {"start": height, "height": height, "way": nothing, "lost": nothing, "time": nothing}
 
     def observe(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Direction; displacement of the ball over GOAL_SCALE body lengths, and its velocity [body lengths / s]."""
@@ -84,13 +84,16 @@ class Transport(Task):
         )
         return np.concatenate([self.commanded["direction"][:, None], moving], axis=-1)
 
-    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+    def remember(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
         """Way of the ball along the command in this step [body lengths], and -1 where it is lost."""
         place, direction = self._projection(motion), self.commanded["direction"]
         way = direction * (place.height - self.memory["height"]) / self.lattice.design.height
-        self.memory |= {"height": place.height, "time": time.copy()}
         lost = np.where(_lost(place, direction), -1.0, 0.0)
-        return {"progress": way, "lost": lost}
+        return {"height": place.height, "way": way, "lost": lost, "time": time}
+
+    def terms(self, motion: Motion, activation: FloatArray, time: FloatArray) -> dict[str, FloatArray]:
+        """Way of the ball along the command in this step [body lengths], and -1 where it is lost."""
+        return {"progress": self.memory["way"], "lost": self.memory["lost"]}
 
     def terminated(self, motion: Motion) -> npt.NDArray[np.bool_]:
         """Tell whether the ball has left the body."""
