@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import math
 import re
@@ -9,11 +11,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
+from lattice_gym.body.design import LatticeDesign
 from lattice_gym.checks import (
     Parameters,
     array,
@@ -29,6 +33,14 @@ from lattice_gym.checks import (
     real,
     whole,
 )
+from lattice_gym.physics.laws.activation import FirstOrder, Thelen, Twitch
+from lattice_gym.physics.laws.adaptation import Adaptation
+from lattice_gym.physics.laws.ball import Ball
+from lattice_gym.physics.laws.contact import Contact
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.laws.medium import Medium
+from lattice_gym.physics.world import World
 
 SHARE = partial(number, low=0.0, high=1.0)
 
@@ -149,3 +161,15 @@ def test_fields_name_themselves(values: Any, message: str) -> None:
     """By class and field."""
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         Wheel.resolve("cart", values)
+
+
+@pytest.mark.parametrize(
+    "kind", [LatticeDesign, World, Medium, Ground, Ball, Contact, Hill, Adaptation, FirstOrder, Thelen, Twitch]
+)
+def test_every_parameter_of_a_scene_has_a_docstring_of_its_own(kind: type[Parameters]) -> None:
+    """One a field: a reader looks for it under the field's name."""
+    (tree,) = ast.parse(inspect.getsource(kind)).body
+    assert isinstance(tree, ast.ClassDef)
+    own = [(part, after) for part, after in pairwise(tree.body) if isinstance(part, ast.AnnAssign)]
+    assert own
+    assert [ast.unparse(part.target) for part, after in own if not isinstance(after, ast.Expr)] == []

@@ -162,10 +162,10 @@ class Scene:
             )
         if dt is None or allow_large_dt:
             return n_substeps, step
-        limit = min(critical_dt(body, tension, self.splitting) for body in bodies)
-        if step > limit:
+        critical = min(critical_dt(body, tension, self.splitting) for body in bodies)
+        if step > critical:
             raise invalid_value(
-                "dt", step, f"above the critical time step, {limit:.6g} s; allow_large_dt=True permits it"
+                "dt", step, f"above the critical time step, {critical:.6g} s; allow_large_dt=True permits it"
             )
         return n_substeps, step
 

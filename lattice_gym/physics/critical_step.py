@@ -72,13 +72,13 @@ def critical_dt(model: RodModel, max_tension: float = 0.0, splitting: Splitting 
 
 
 def default_dt(model: RodModel, control_dt: float, max_tension: float = 0.0) -> float:
-    """Largest step [s] that divides `control_dt` and is at most `DT_MARGIN` of the critical one without any damper.
+    """Largest step [s] that divides `control_dt` and is at most `DT_MARGIN` of that predicted without any damper.
 
     Dampers can make larger steps stable, but such steps do not resolve them: the motion freezes. Where clamps hold
     everything it is `control_dt`.
     """
-    limit = SAFETY * _Linear(model, max_tension).largest_dt(None)
-    return control_dt / max(1, math.ceil(control_dt / (DT_MARGIN * limit)))
+    predicted = SAFETY * _Linear(model, max_tension).largest_dt(None)
+    return control_dt / max(1, math.ceil(control_dt / (DT_MARGIN * predicted)))
 
 
 class _Linear:
@@ -104,7 +104,7 @@ class _Linear:
         free.element[model.clamped_elements[0]] = 0.0
 
     def largest_dt(self, splitting: Splitting | None) -> float:
-        """Critical time step [s]; without dampers (but with dashpots) where splitting is None.
+        """Limit of the step [s] before `SAFETY`; without dampers (but with dashpots) where splitting is None.
 
         The dampers' share and that of the dashpots depend on the step. Each round takes them at the step of the round
         before; the first is too short, and so no round goes beyond the limit.

@@ -46,12 +46,15 @@ class Ground(Parameters):
     damping: float = real(0.1, 0.0, 1e6, "N s/m")
     """Of a node's contact, along the normal [N s/m]."""
     static_friction: float = real(0.5, 0.0, 100.0, "1")
+    """Largest friction over normal force of a node that sticks; never less than `kinetic_friction`."""
     kinetic_friction: float = real(0.5, 0.0, 100.0, "1")
-    """Friction over normal force, at rest (never less than in motion) and in motion."""
+    """Friction over normal force of a node that slips."""
     forward: float = real(1.0, 0.0, 100.0, "1")
+    """Factor on both coefficients for slip towards the body's top; friction is isotropic where all three are alike."""
     backward: float = real(1.0, 0.0, 100.0, "1")
+    """The same factor for slip towards its base."""
     sideways: float = real(1.0, 0.0, 100.0, "1")
-    """Factors on both coefficients for slip towards the body's top, its base and across: alike they are isotropic."""
+    """The same factor for slip across."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
