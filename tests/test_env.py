@@ -253,7 +253,7 @@ def test_any_task_in_any_world(task: str, engine_name: EngineName) -> None:
     """Everything at once, on either engine; deterministic, and a copy goes on as it would."""
     # A worm must be at rest before it crawls; a ball slips out between so few rods and is not, so it has lines instead.
     ball = None if task == "crawl" else Ball(radius=0.02)
-    world = World(medium=Medium(drag=0.01), ground=Ground(forward=0.5), ball=ball, lying=True)
+    world = World(medium=Medium(drag=0.01), ground=Ground(forward=0.5), ball=ball, lying=True).to_dict()
     design = SMALL | {"base": "free", "muscle_model": "line" if ball is None else "rod"}
     command = SMALL_WAVE if task == "peristalsis" else None
     kwargs: dict[str, Any] = {"control": "ring", "control_dt": 0.01, "command": command}

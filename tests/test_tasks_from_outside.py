@@ -16,8 +16,13 @@ from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.envs.core import Worms
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.scene import Scene
+from lattice_gym.physics.laws.ball import Ball
+from lattice_gym.physics.laws.ground import Ground
+from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.state import Motion
+from lattice_gym.physics.world import World
 from lattice_gym.tasks.base import EFFORT_WEIGHT, MIN_PENALTY, RewardTerm, Task
+from lattice_gym.tasks.crawl import Crawl
 from lattice_gym.tasks.registry import TASKS, design_for, resolve_task, task_label
 
 pytestmark = pytest.mark.slow
@@ -328,7 +333,7 @@ def test_a_design_that_drops_a_value_is_told() -> None:
     (one,) = caught
     assert str(one.message) == (
         "design: this LatticeDesign has the default max_tension = 0.5 where transport has max_tension = 1.0: start "
-        "from lattice_gym.design_for('transport', ...); where the default is meant, give it in a dict"
+        "from lattice_gym.design_for('transport', ...); where the default is meant, give to_dict() of it"
     )
     for design in (
         design_for("transport", elements_per_segment=2),
@@ -341,6 +346,34 @@ def test_a_design_that_drops_a_value_is_told() -> None:
     for either in (LatticeDesign(), None):
         with pytest.raises(ValueError, match="there is no 'hight'; there are"):
             LatticeWormEnv(misspelt, either)
+
+
+def test_a_world_that_drops_values_is_told() -> None:
+    """Once, with all fields, values and the way out, be it all of the world or a part of it; not for a dict."""
+    world = World(medium=Medium(), ground=Ground(stiffness=150.0), lying=True)
+    with pytest.warns(UserWarning, match="^world: ") as caught:
+        LatticeWormEnv("crawl", world=world, fidelity="fast")
+    assert [str(one.message) for one in caught] == [
+        "world: this world has the default medium.drag = 0.0 where crawl has medium.drag = 1.0: start from the task's "
+        "own by a dict of what differs; where the default is meant, give to_dict() of it"
+    ]
+    dropped = (
+        r"^world: this world has the default medium = None, ball.level = 1.0, ball.friction = 0.3 where transport has "
+        r"medium = Medium\(gravity=9.81, .*\), ball.level = 4.5, ball.friction = 0.1: start"
+    )
+    with pytest.warns(UserWarning, match=dropped):
+        LatticeWormEnv("transport", world=World(ball=Ball(radius=0.02)), fidelity="fast")
+    with pytest.warns(UserWarning, match=r"^world: this world has the default medium.drag = 0.0 where crawl has"):
+        LatticeWormEnv("crawl", world={"medium": Medium(density=990.0)}, fidelity="fast")
+    given: Any
+    for given in (
+        {"medium": {"drag": 0.0}},
+        {"ground": Ground(stiffness=150.0)},
+        world.to_dict(),
+        World(medium=Medium(drag=0.5), ground=Ground(), lying=True),
+        Crawl.world(LATTICE),
+    ):
+        LatticeWormEnv("crawl", world=given, fidelity="fast")
 
 
 @pytest.mark.parametrize("many", [False, True])

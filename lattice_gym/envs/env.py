@@ -281,8 +281,9 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     world
         Medium, ground and ball around the worm and whether it lies: a World, or a dict of what differs from the task's
         own; None: the task's own, nothing at all for most. A part given as a dict changes the task's own part, or where
-        that has none the default one; an object replaces it, None takes it away. One that lies needs a free base, crawl
-        lies on a ground under gravity, and in crawl and transport worm and ball must come to rest in it.
+        that has none the default one; an object replaces it, and warns where it drops values of the task's; None takes
+        it away. One that lies needs a free base, crawl lies on a ground under gravity, and in crawl and transport worm
+        and ball must come to rest in it.
     reward_weights
         Weights of reward terms by name in place of the task's own, "effort" among them: {"effort": 0.02}. The penalty
         of a divergence rises with them.

@@ -24,7 +24,7 @@ from lattice_gym.physics.laws.hill import Hill
 from lattice_gym.physics.world import World
 from lattice_gym.physics.worm import build_model
 from lattice_gym.tasks.base import CommandValues, GoalTask, Task
-from lattice_gym.tasks.registry import TASKS, resolve_task, warn_of_dropped_values
+from lattice_gym.tasks.registry import TASKS, resolve_task
 
 Init = TypeVar("Init", bound=Callable[..., None])
 
@@ -123,8 +123,6 @@ class Scene:
         self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))
         self._task_arguments: dict[str, Any] = {"command": command, "reward_weights": reward_weights}
         first = self.make_task(1)
-        if isinstance(design, LatticeDesign):
-            warn_of_dropped_values(design, self.task)
         preferred: Splitting = "pyelastica" if self.engine == "pyelastica" else preset.splitting
         self.splitting: Splitting = optional(choice, "splitting", splitting, get_args(Splitting)) or preferred
         self.n_substeps, self.dt = self._substeps(dt, flag("allow_large_dt", allow_large_dt))

@@ -6,7 +6,7 @@ import pkgutil
 import warnings
 from collections.abc import Mapping
 from difflib import get_close_matches
-from functools import cache, partial
+from functools import cache
 from inspect import get_annotations
 from typing import Any
 
@@ -30,7 +30,7 @@ TASKS: dict[str, type[Task]] = {
 """Every task of this package by name."""
 NEEDED = ("name", "time_limit", "rewards")
 """What a task must state beside its methods."""
-_DECIDED = "_decided"
+DECIDED = "_decided"
 """Attribute of what `design_for` makes: the fields that its caller gave."""
 OTHER_NAMES = {
     "blank_memory": "initial_memory",
@@ -103,27 +103,8 @@ def task_label(task: type[Task]) -> str:
 def design_for(task: str | type[Task], **changes: Any) -> LatticeDesign:
     """Return the design that a task is meant for, with changes by field: `design_for("crawl", height=0.2)`."""
     design = LatticeDesign.from_dict({**resolve_task(task).design, **changes})
-    object.__setattr__(design, _DECIDED, frozenset(changes))
+    object.__setattr__(design, DECIDED, frozenset(changes))
     return design
-
-
-def warn_of_dropped_values(design: LatticeDesign, task: type[Task]) -> None:
-    """Warn of a design that has the default where the task has a value of its own, as if nobody had decided that."""
-    default, decided = LatticeDesign(), getattr(design, _DECIDED, ())
-    task_values = names(f"{task.__name__}.design", task.design, vars(default), "values")
-    dropped = [name for name, own in task_values.items() if getattr(design, name) == getattr(default, name) != own]
-    dropped = [name for name in dropped if name not in decided]
-    if dropped:
-        has, own = (
-            ", ".join(f"{name} = {value(name)!r}" for name in dropped)
-            for value in (partial(getattr, design), task.design.__getitem__)
-        )
-        label = repr(task.name) if TASKS.get(task.name) is task else task.__name__
-        warnings.warn(
-            f"design: this LatticeDesign has the default {has} where {task.name} has {own}: start from "
-            f"lattice_gym.design_for({label}, ...); where the default is meant, give it in a dict",
-            stacklevel=2,
-        )
 
 
 def has_gait(task: type[Task]) -> bool:
