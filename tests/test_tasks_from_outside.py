@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import gymnasium
 import numpy as np
@@ -287,6 +288,46 @@ def test_penalty_of_a_foreign_task() -> None:
         _, reward, terminated, _, info = env.step(np.ones(env.action_space.shape))
     assert reward == info["reward_terms"]["divergence"] == -env.task.penalty == -3005.0
     assert env.task.caption(env.state).startswith("height 0.1")
+
+
+def test_penalty_of_longer_episodes() -> None:
+    """It grows with the most steps that they may last, and tells for how many it is enough; never below the task's."""
+    limits = (None, 50, 83, 84, 500)
+    enough = [TASKS["reach"](LATTICE, 0.05, time_limit=limit).penalised_steps for limit in limits]
+    assert enough == [83, 83, 83, 84, 500]
+    longer = TASKS["reach"](LATTICE, 0.05, time_limit=500)
+    assert longer.penalty == pytest.approx(500 * (12.0 + EFFORT_WEIGHT))
+    assert longer.penalty > MIN_PENALTY == TASKS["reach"](LATTICE, 0.05, time_limit=83).penalty
+    assert Stand(LATTICE, 0.05, reward_weights={"height": 0.0, "effort": 0.0}).penalised_steps == np.inf
+    prize = type("Prize", (Stand,), {"rewards": {"height": RewardTerm(2.0, -400.0, 0.0, per_episode=True)}})
+    assert prize(LATTICE, 0.05).penalised_steps == 20_000
+    with pytest.raises(ValueError, match=r"^time_limit = 0: must be a whole number, at least 1, or None$"):
+        LatticeWormEnv("reach", time_limit=cast(Any, 0))
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_an_episode_longer_than_the_penalty_is_made_for_is_told_once(many: bool) -> None:
+    """With the figure and the way out: of one worm; many know their limit, and reckon with it."""
+    short = type("Short", (Stand,), {"time_limit": 3, "rewards": {"height": RewardTerm(400.0, -3.0, -1.0)}})
+    shared: dict[str, Any] = {"task": short, "fidelity": "fast", "control_dt": 0.005, "max_episode_steps": 6}
+    make: Any = gymnasium.make_vec if many else gymnasium.make
+
+    def play(env: Any) -> list[str]:
+        env.reset(seed=0)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            for _ in range(6):
+                env.step(np.zeros(env.action_space.shape))
+        return [str(one.message) for one in caught]
+
+    told = [
+        "stand: an episode of more than 3 control steps may be worth less than one that diverges, which costs 3600.03: "
+        "give time_limit, the most steps that an episode may last"
+    ]
+    assert play(make("LatticeWorm-v0", **shared)) == ([] if many else told)
+    env = make("LatticeWorm-v0", **shared, time_limit=6)
+    assert play(env) == []
+    assert env.unwrapped.task.penalty == pytest.approx(6 * (1200.0 + EFFORT_WEIGHT))
 
 
 def test_a_range_that_is_not_known_is_told() -> None:

@@ -97,7 +97,7 @@ class Worms:
         self._tension_factor = None if scene.randomisation is None else np.ones((n_worm, n_muscle))
         self.observer = Observer(scene, self.task)
         self._least_reward, self._most_reward = _reward_bounds(self.task)
-        self._warned = False
+        self._warned, self._warned_of_length = False, False
         self._unchecked = {"terms", "outcome", "remember"}
 
     @property
@@ -241,6 +241,8 @@ class Worms:
             tension *= self.task.strength
         sound = self._advance(tension, live)
         self._n_step += 1 if live is None else live
+        if not self._warned_of_length and self._n_step.max() > self.task.penalised_steps:
+            self._warn_of_length()
         if whole := bool(sound.all()):
             self._failed[:] = False
             self._sound_time, self._activation, self._previous_action = self.time, after, command.copy()
@@ -385,6 +387,15 @@ class Worms:
             f"{self.task.name}: a reward of {worst:g} in one control step, beyond the {least:g} to {most:g} that "
             f"its `rewards` declare; a divergence, which costs {self.task.penalty:g}, may pay more than a sound "
             "episode: widen the ranges of its reward terms",
+            stacklevel=4,
+        )
+
+    def _warn_of_length(self) -> None:
+        """Warn once of an episode that is longer than those for which the penalty of a divergence is made."""
+        self._warned_of_length, task = True, self.task
+        warnings.warn(
+            f"{task.name}: an episode of more than {task.penalised_steps:g} control steps may be worth less than one "
+            f"that diverges, which costs {task.penalty:g}: give time_limit, the most steps that an episode may last",
             stacklevel=4,
         )
 

@@ -137,7 +137,8 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     | all | `divergence` | 0; or -1000 where the physics diverged, and then all other terms are 0 |
 
     Numbers here, signs aside, are weights, 1 where there is none: `reward_weights` changes them. The penalty of a
-    divergence is then `task.penalty`: 1000, or more where that is less than the terms can differ by in an episode.
+    divergence is then `task.penalty`: 1000, or more where that is less than the terms can differ by in an episode of
+    `time_limit` steps.
 
     With d the deviation of each ring's radius from rest and t the commanded one, as shares of the rest radius, and sums
     over the n levels that can move, tracking = (sum t^2 - sum (d - t)^2) / (n amplitude^2 / 2 + sum (d - t)^2): 0 for
@@ -183,8 +184,9 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     is not finite, an element inverted or over-stretched, a joint torn or, where asked for, spurious energy
     (`energy_check`) or too long a step (`step_check`); see `engines.Status`. Then `info["status"]` names what and
     where, by rod and element, and the observation is the last sound one, again; `time` is that of the control step that
-    failed. The penalty exceeds what lies between the best and the worst episode within the task's time limit, so none
-    that ends well is worth less. The environment never truncates itself: the time limit is registered.
+    failed. The penalty exceeds what lies between the best and the worst episode of at most `time_limit` steps, so none
+    of these that ends well is worth less; a longer one warns where it may be. The environment never truncates itself:
+    the time limit is registered.
 
     ## Info
 
@@ -287,6 +289,10 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     reward_weights
         Weights of reward terms by name in place of the task's own, "effort" among them: {"effort": 0.02}. The penalty
         of a divergence rises with them.
+    time_limit
+        Most control steps that an episode may last, where those are more than the task's: the penalty of a divergence
+        rises with them. It ends nothing: give it with `gymnasium.make(..., max_episode_steps=...)`, of which the
+        environment is not told. None: the task's own; in a batch `max_episode_steps`, which is told.
     render_mode
         None or "rgb_array".
     adaptation

@@ -98,6 +98,7 @@ class Scene:
         hill: Hill | Mapping[str, Any] | None = None,
         randomise: Mapping[str, Sequence[float]] | None = None,
         reward_weights: Mapping[str, float] | None = None,
+        time_limit: int | None = None,
         activation: Activation | str | Mapping[str, Any] | None = None,
         *,
         goals_apart: bool = False,
@@ -121,7 +122,11 @@ class Scene:
         self.randomisation = Randomisation.resolve(randomise)
         self.terms = resolve_terms(observation, self)
         self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))
-        self._task_arguments: dict[str, Any] = {"command": command, "reward_weights": reward_weights}
+        self._task_arguments: dict[str, Any] = {
+            "command": command,
+            "reward_weights": reward_weights,
+            "time_limit": time_limit,
+        }
         first = self.make_task(1)
         preferred: Splitting = "pyelastica" if self.engine == "pyelastica" else preset.splitting
         self.splitting: Splitting = optional(choice, "splitting", splitting, get_args(Splitting)) or preferred

@@ -45,7 +45,8 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
     num_envs
         Number of worms.
     max_episode_steps
-        Steps after which an episode is truncated; None: never. `gymnasium.make_vec` gives that of the id.
+        Steps after which an episode is truncated; None: never. `gymnasium.make_vec` gives that of the id. It is the
+        `time_limit` too, unless that is given; a single environment must be given it to have the same penalty.
     autoreset_mode
         `gymnasium.vector.AutoresetMode` or its value: when a worm whose episode has ended is reset, at the next step
         (whose action it ignores), at once, or only by `reset`. Of both only the value can be written as JSON.
@@ -85,6 +86,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
             raise invalid_value("autoreset_mode", autoreset_mode, f"must be one of {modes}") from None
         self.render_mode = optional(choice, "render_mode", render_mode, RENDER_MODES)
         arguments["goals_apart"] = self._goals_apart
+        arguments.setdefault("time_limit", self._limit)
         self.scene = Scene(**arguments)
         warn_of_pitfalls(self.scene, arguments)
         self.worms = Worms(self.scene, self.num_envs, num_threads=num_threads)

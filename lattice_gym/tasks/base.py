@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout
-from lattice_gym.checks import FloatArray, IntArray, invalid_value, items, names, number
+from lattice_gym.checks import FloatArray, IntArray, invalid_value, items, names, number, optional, whole
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.elasticity import MAX_DILATATION
 from lattice_gym.physics.measures import base_frame
@@ -104,6 +104,8 @@ class Task(ABC):
         Number of worms; each has episodes of its own.
     reward_weights
         Weights of reward terms by name, in place of the task's own.
+    time_limit
+        Control steps that an episode may last, for `penalty`; None, or fewer: those of the class.
 
     Warns
     -----
@@ -114,8 +116,8 @@ class Task(ABC):
 
     name: ClassVar[str]
     """In messages, captions and files; of a task of this package also the value of `LatticeWormEnv(task=...)`."""
-    time_limit: ClassVar[int]
-    """Control steps of an episode."""
+    time_limit: int
+    """Control steps of an episode; of a task object those of the longest, where more were given."""
     rewards: ClassVar[Mapping[str, RewardTerm]]
     """Its reward terms by name, in order; "effort" comes after them by itself."""
     training: ClassVar[Mapping[str, Any]] = {}
@@ -146,7 +148,9 @@ class Task(ABC):
         model: RodModel | None = None,
         n_worm: int = 1,
         reward_weights: Mapping[str, float] | None = None,
+        time_limit: int | None = None,
     ) -> None:
+        self.time_limit = max(type(self).time_limit, optional(whole, "time_limit", time_limit, 1) or 0)
         self.lattice = lattice
         self.control_dt = control_dt
         self.n_worm = n_worm
@@ -196,9 +200,19 @@ class Task(ABC):
         At least MIN_PENALTY, and else the sum over all terms of how far their weighted sums over an episode can be
         apart, by the ranges in `rewards`.
         """
-        terms = self._all_rewards.items()
-        spans = [term.span(self.time_limit, self.weights[name]) for name, term in terms]
-        return max(MIN_PENALTY, math.fsum(span for span in spans if math.isfinite(span)))
+        return max(MIN_PENALTY, self._spread(self.time_limit))
+
+    @cached_property
+    def penalised_steps(self) -> float:
+        """Control steps that episodes may last for `penalty` to be more than lies between any two; or infinite."""
+        once = self._spread(0)
+        each = self._spread(1) - once
+        return max(self.time_limit, math.floor((self.penalty - once) / each)) if each > 0.0 else math.inf
+
+    def _spread(self, steps: int) -> float:
+        """Largest difference of two sound episodes of at most so many steps, by the ranges that are known."""
+        spans = [term.span(steps, self.weights[name]) for name, term in self._all_rewards.items()]
+        return math.fsum(span for span in spans if math.isfinite(span))
 
     def check(self, options: Mapping[str, object] | None) -> None:
         """Raise the ValueError of `begin` for options that it would refuse."""
