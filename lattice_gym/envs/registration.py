@@ -82,11 +82,11 @@ def register_builtin_tasks() -> None:
 
 
 def warn_of_time_limit(spec: EnvSpec | None, task: type[Task], n_step: int) -> None:
-    """Warn once of an id whose time limit is not its task's, where that has ended an episode after so many steps.
+    """Warn once of an id whose time limit is not its task's, where that ends episodes after so many steps.
 
-    One worm's environment asks at its reset and its end, when an episode is over for sure. Whether the limit is the
-    registered one cannot be told before: `gymnasium.make(..., max_episode_steps=...)` leaves the specification of the
-    bare environment as it is.
+    Many worms ask when `gymnasium.make_vec` tells them their id; it has told them the limit before. One worm is never
+    told by `gymnasium.make`, which may have been given another than the registered one. It asks at its reset and its
+    end, for by then it has seen after how many steps an episode was over.
     """
     registered = None if spec is None else gymnasium.registry.get(spec.id)
     if spec is None or registered is None or (spec.id, task) in _warned:

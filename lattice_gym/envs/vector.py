@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -65,6 +66,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
 
     _goals_apart: ClassVar[bool] = False
     """Whether goals are observed apart."""
+    _spec: EnvSpec | None = None
 
     @takes_scene_arguments
     def __init__(
@@ -100,6 +102,17 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         self._observation: Observation = None
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
 
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Specification that `gymnasium.make_vec` made it of, which gives it last; None without."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = spec
+        if self._limit:
+            warn_of_time_limit(spec, self.scene.task, self._limit)
+
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """Generator of every worm."""
@@ -123,8 +136,6 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
             Commanded numbers by name for these episodes, and `reset_mask`: bool, shape (num_envs,).
         """
         seeds, (mask, given) = self._seeds(seed), self._options(options)
-        if self._limit:
-            warn_of_time_limit(self.spec, self.scene.task, self._limit)
         if self._observation is None and not mask.all():
             raise gymnasium.error.ResetNeeded("reset() must be called without a reset_mask first")
         for worm in _worms(mask):
