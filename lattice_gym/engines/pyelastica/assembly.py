@@ -45,7 +45,7 @@ class Assembly:
         """Energy that entered and left in the last call to `advance`; kept with the energy check."""
         self._energy_check = energy_check
         self._bodies = Bodies(model, make_rods(model), make_sphere(model.ball), dt, np.zeros((model.n_muscle, 1)))
-        self._laws = [law(self._bodies) for law in LAWS if law.acts_on(model)]
+        self._laws = [acting(self._bodies) for acting in LAWS if acting.law.present(model)]
         self._joint_gap_limits = joint_gap_limits(model)
         self._simulator = self._assemble()
 

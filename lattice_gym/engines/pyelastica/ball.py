@@ -13,9 +13,8 @@ from elastica.rod.cosserat_rod import CosseratRod
 
 from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.pyelastica.law import START, Bodies, Law, Simulator
-from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
-from lattice_gym.physics.laws.ball import RigidBall
+from lattice_gym.physics.laws.ball import BallLaw, RigidBall
 from lattice_gym.physics.state import RodState
 
 _SWEEPS, _TOLERANCE = 6, 1e-9
@@ -178,15 +177,12 @@ class _Friction(DamperBase[Sphere]):
 class Ball(Law):
     """A rigid ball among the rods."""
 
+    law = BallLaw
+
     def __init__(self, bodies: Bodies) -> None:
         super().__init__(bodies)
         assert bodies.model.ball is not None
         self._law, self._touches = bodies.model.ball, _Touches(bodies)
-
-    @classmethod
-    def acts_on(cls, model: RodModel) -> bool:
-        """Whether there is a ball."""
-        return model.ball is not None
 
     @property
     def _sphere(self) -> CosseratRod:

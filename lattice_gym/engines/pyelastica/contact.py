@@ -17,7 +17,7 @@ from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.pyelastica.law import START, Bodies, Law, Simulator
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
-from lattice_gym.physics.laws.contact import MARGIN, nearest
+from lattice_gym.physics.laws.contact import MARGIN, ContactLaw, nearest
 from lattice_gym.physics.state import RodState
 
 _ROUNDING = 1e-9
@@ -74,6 +74,8 @@ class _Push(NoForces[CosseratRod]):
 class Contact(Law):
     """Rods that push at each other where they overlap."""
 
+    law = ContactLaw
+
     def __init__(self, bodies: Bodies) -> None:
         super().__init__(bodies)
         assert bodies.model.contact is not None
@@ -81,11 +83,6 @@ class Contact(Law):
         self._first, self._radius = bodies.first_nodes(), bodies.model.element_radius
         self._pairs = touchable_pairs(bodies.model).T
         self._power = 0.0
-
-    @classmethod
-    def acts_on(cls, model: RodModel) -> bool:
-        """Whether rods touch each other."""
-        return model.contact is not None
 
     def add_forces(self, simulator: Simulator) -> None:
         """Add the push of all rods at each other."""

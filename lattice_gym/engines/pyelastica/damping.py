@@ -9,8 +9,8 @@ from elastica.dissipation import AnalyticalLinearDamper
 
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.pyelastica.law import Law, Simulator
-from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
+from lattice_gym.physics.laws.damping import DampingLaw
 from lattice_gym.physics.state import RodState
 
 _MAX_RATE = 300.0
@@ -33,10 +33,7 @@ class _NodeDamper(AnalyticalLinearDamper):
 class LinearDamping(Law):
     """Linear damping of nodes and elements, with the drag of the medium."""
 
-    @classmethod
-    def acts_on(cls, model: RodModel) -> bool:
-        """Whether anything is damped."""
-        return bool(model.node_damping.any()) or any(rod.rotational_damping > 0.0 for rod in model.rods)
+    law = DampingLaw
 
     def add_dampers(self, simulator: Simulator) -> None:
         """Damp every rod that is damped."""

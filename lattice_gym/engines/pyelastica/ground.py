@@ -16,9 +16,8 @@ from elastica.rod.cosserat_rod import CosseratRod
 
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.pyelastica.law import START, Bodies, Law, Simulator
-from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
-from lattice_gym.physics.laws.ground import Ground as GroundLaw
+from lattice_gym.physics.laws import ground as physics
 from lattice_gym.physics.state import RodState
 
 
@@ -38,7 +37,7 @@ class _Reaction:
 class _NormalForce(NoForces[CosseratRod]):
     """Normal force of the plane z = 0 on the nodes of one rod, whose radii there are given [m], shape (n_node,)."""
 
-    def __init__(self, ground: GroundLaw, radius: FloatArray, reaction: _Reaction) -> None:
+    def __init__(self, ground: physics.Ground, radius: FloatArray, reaction: _Reaction) -> None:
         super().__init__()
         self.ground, self.radius, self.reaction = ground, radius, reaction
 
@@ -72,7 +71,7 @@ class _Friction(DamperBase[CosseratRod]):
     """
 
     def __init__(
-        self, ground: GroundLaw, kick: FloatArray, reaction: _Reaction, axis: FloatArray | None, **kwargs: Any
+        self, ground: physics.Ground, kick: FloatArray, reaction: _Reaction, axis: FloatArray | None, **kwargs: Any
     ) -> None:
         super().__init__(**kwargs)
         self.ground, self.kick, self.reaction, self.axis = ground, kick, reaction, axis
@@ -107,6 +106,8 @@ class _Friction(DamperBase[CosseratRod]):
 class Ground(Law):
     """The plane z = 0 under every rod."""
 
+    law = physics.GroundLaw
+
     def __init__(self, bodies: Bodies) -> None:
         super().__init__(bodies)
         assert bodies.model.ground is not None
@@ -114,11 +115,6 @@ class Ground(Law):
         self._axis = None if self._law.isotropic else np.zeros(3)
         counts = [rod.n_elem + 1 for rod in bodies.model.rods]
         self._reactions = [_Reaction(np.zeros(n), np.zeros(n), np.zeros((2, n))) for n in counts]
-
-    @classmethod
-    def acts_on(cls, model: RodModel) -> bool:
-        """Whether there is a ground."""
-        return model.ground is not None
 
     def add_forces(self, simulator: Simulator) -> None:
         """Add the normal force on every rod, and find the body axis if friction needs it."""

@@ -5,18 +5,15 @@ from __future__ import annotations
 from elastica.joint import FreeJoint
 
 from lattice_gym.engines.pyelastica.law import Law, Simulator
-from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
+from lattice_gym.physics.laws.joints import JointLaw
 from lattice_gym.physics.state import RodState
 
 
 class Joints(Law):
     """A spring and a dashpot between two nodes."""
 
-    @classmethod
-    def acts_on(cls, model: RodModel) -> bool:
-        """Whether any nodes are joined."""
-        return len(model.joints) > 0
+    law = JointLaw
 
     def add_forces(self, simulator: Simulator) -> None:
         """Connect the rods of every joint."""

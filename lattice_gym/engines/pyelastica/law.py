@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from elastica.modules.base_system import BaseSystemCollection
@@ -16,6 +16,7 @@ from elastica.rod.cosserat_rod import CosseratRod
 from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
+from lattice_gym.physics.laws import base as laws
 from lattice_gym.physics.state import RodState
 
 START = np.float64(0.0)
@@ -63,18 +64,16 @@ class Bodies(NamedTuple):
 
 
 class Law:
-    """One law of a model; made only where the model has it. By itself it acts on nothing and adds nothing.
+    """One law of a model; made only where the model has it. By itself it adds nothing.
 
     PyElastica applies forces, and then dampers, in the order in which they are declared.
     """
 
+    law: ClassVar[type[laws.Law]]
+    """What it is in the physics, which tells where it is present."""
+
     def __init__(self, bodies: Bodies) -> None:
         self.bodies = bodies
-
-    @classmethod
-    def acts_on(cls, model: RodModel) -> bool:
-        """Whether a model has this law."""
-        return False
 
     def add_forces(self, simulator: Simulator) -> None:
         """Declare what is summed before the kick of a step."""

@@ -13,6 +13,7 @@ from lattice_gym.engines.pyelastica.law import START, Bodies, Law, Simulator
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
 from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.laws.lines import LineLaw
 from lattice_gym.physics.state import RodState
 
 
@@ -62,14 +63,11 @@ class _Line(ConnectionBase[CosseratRod]):
 class Lines(Law):
     """Massless muscles; their masses and damping stand on the nodes that they join."""
 
+    law = LineLaw
+
     def __init__(self, bodies: Bodies) -> None:
         super().__init__(bodies)
         self._acting = np.zeros((len(bodies.model.lines), 1))
-
-    @classmethod
-    def acts_on(cls, model: RodModel) -> bool:
-        """Whether there are lines."""
-        return len(model.lines) > 0
 
     def add_forces(self, simulator: Simulator) -> None:
         """Connect the rods of every line."""

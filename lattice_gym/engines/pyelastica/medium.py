@@ -5,28 +5,21 @@ from __future__ import annotations
 import numpy as np
 from elastica.external_forces import GravityForces
 
-from lattice_gym.checks import FloatArray
 from lattice_gym.engines.pyelastica.law import Law, Simulator
-from lattice_gym.physics.assembly import RodModel
+from lattice_gym.engines.pyelastica.loads import ConstantLoads
+from lattice_gym.physics.laws.medium import MediumLaw
 
 
 class Medium(Law):
-    """Weights: PyElastica's own. Their energy is stored, so nothing flows."""
+    """Weights, PyElastica's own, and buoyancy. Their energy is stored, so nothing flows."""
 
-    @classmethod
-    def acts_on(cls, model: RodModel) -> bool:
-        """Whether there is gravity."""
-        return model.gravity is not None
+    law = MediumLaw
 
     def add_forces(self, simulator: Simulator) -> None:
-        """Add its weight to every rod."""
-        for rod in self.bodies.rods:
-            simulator.add_forcing_to(rod).using(GravityForces, acc_gravity=self.bodies.model.gravity)
-
-
-def buoyancy(model: RodModel) -> FloatArray:
-    """Buoyancy on every node [N], shape (n_node, 3)."""
-    if model.gravity is None:
-        return np.zeros((model.n_node, 3))
-    force: FloatArray = -np.outer(model.medium_density * model.node_volume, model.gravity)
-    return force
+        """Add buoyancy and weight to every rod."""
+        model, gravity = self.bodies.model, self.bodies.model.gravity
+        assert gravity is not None
+        buoyancy = -np.outer(model.medium_density * model.node_volume, gravity)
+        for index, rod in enumerate(self.bodies.rods):
+            simulator.add_forcing_to(rod).using(ConstantLoads, buoyancy[model.nodes(index)].T)
+            simulator.add_forcing_to(rod).using(GravityForces, acc_gravity=gravity)

@@ -9,9 +9,9 @@ from elastica.rod.cosserat_rod import CosseratRod
 from lattice_gym.checks import FloatArray
 from lattice_gym.engines.pyelastica.hill import hill_factor
 from lattice_gym.engines.pyelastica.law import START, Bodies, Law, Simulator
-from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
 from lattice_gym.physics.laws.hill import Hill
+from lattice_gym.physics.laws.muscles import MuscleLaw
 from lattice_gym.physics.state import RodState
 
 
@@ -38,14 +38,11 @@ class _Contraction(NoForces[CosseratRod]):
 class Muscles(Law):
     """Rods that contract."""
 
+    law = MuscleLaw
+
     def __init__(self, bodies: Bodies) -> None:
         super().__init__(bodies)
         self._acting = [np.zeros(bodies.model.rods[index].n_elem) for index in bodies.model.muscles]
-
-    @classmethod
-    def acts_on(cls, model: RodModel) -> bool:
-        """Whether any rod contracts."""
-        return len(model.muscles) > 0
 
     def add_forces(self, simulator: Simulator) -> None:
         """Add its tension to every muscle."""
