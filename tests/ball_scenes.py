@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from small_worms import SMALL
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
@@ -22,7 +23,6 @@ from lattice_gym.physics.worm import build_model
 
 ROD: dict[str, Any] = {"radius": 0.01, "density": 1000.0, "youngs_modulus": 1e7, "shear_modulus": 4e6}
 SOFT: dict[str, Any] = {"radius": 0.05, "density": 1000.0, "youngs_modulus": 1e3, "shear_modulus": 3e2}
-SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 RADIUS = 0.1
 REACH = RADIUS + ROD["radius"]
 

@@ -9,7 +9,7 @@ import gymnasium
 
 from lattice_gym.envs.env import LatticeWormEnv
 
-SMALL = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
+SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 """A lattice of three sites on each of five levels: quick to build and to step."""
 N_SMALL = 21
 """Its muscles."""

@@ -12,6 +12,7 @@ import pytest
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
+from small_worms import SMALL
 
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
@@ -23,7 +24,6 @@ from lattice_gym.physics.worm import build_model
 
 pytestmark = pytest.mark.slow
 
-SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 USE: dict[str, Any] = {"activation": [0.0, 0.5, 1.0], "tension": [0.0, 1.0, 2.0], "strain": [0.0, -0.2, 0.3]}
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ball_scenes import RADIUS, REACH, ROD, SMALL, SOFT, ball, momenta, rails, thrown, worm
+from ball_scenes import RADIUS, REACH, ROD, SOFT, ball, momenta, rails, thrown, worm
+from small_worms import SMALL
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, cast, get_args
+from typing import cast, get_args
 
 import numpy as np
 import pytest
+from small_worms import SMALL
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
@@ -35,7 +36,6 @@ from lattice_gym.verification.orders import slope
 pytestmark = pytest.mark.slow
 
 ROD = {"radius": 0.05, "density": 1e3, "youngs_modulus": 1e5, "shear_modulus": 3e4}
-SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 
 
 def _moved(state: RodState, shift: FloatArray) -> RodState:

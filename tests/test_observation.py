@@ -13,6 +13,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from small_worms import SMALL
 
 from lattice_gym import LatticeWormEnv, LatticeWormGoalEnv, LatticeWormVectorEnv, ObservationTerm
 from lattice_gym.checks import FloatArray
@@ -25,7 +26,6 @@ from lattice_gym.physics.state import Motion
 
 pytestmark = pytest.mark.slow
 
-SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 """A lattice of three sites on each of five levels: quick to build and to step."""
 ALL: dict[str, Any] = {"rhythm": 1.3, "adaptation": {"fatigue_rate": 0.5}, "observation": list(TERMS)}
 """Every term, but that there must be a ground."""

@@ -14,6 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import SyncVectorEnv
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from small_worms import SMALL
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
@@ -25,7 +26,6 @@ from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.critical_step import critical_dt
 from lattice_gym.physics.worm import build_model
 
-SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 QUICK: dict[str, Any] = {"task": "reach", "design": SMALL, "control_dt": 0.02}
 ALL = dict.fromkeys(NAMES, (0.8, 1.25))
 

@@ -18,6 +18,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from small_worms import SMALL
 
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.checks import FloatArray
@@ -31,7 +32,6 @@ from lattice_gym.tasks.registry import TASKS
 
 pytestmark = pytest.mark.slow
 
-SMALL: dict[str, Any] = {"n_pairs": 3, "period_ratio": 1.5, "elements_per_segment": 2}
 """A lattice of three sites on each of five levels: quick to build and to step."""
 QUICK: dict[str, Any] = {"design": SMALL, "control_dt": 0.01}
 WAVE = {"wavelength": 0.1, "speed": [0.1, 0.2, -0.15]}
