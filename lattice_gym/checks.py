@@ -8,14 +8,14 @@ raises a ValueError like "LatticeDesign.height = -1: must be a number from 1e-06
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Set
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache, partial
 from math import inf
 from numbers import Real
 from pkgutil import resolve_name
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeGuard, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -169,6 +169,16 @@ def items(
         if count is None or len(given) == count:
             return tuple(each(f"{name}[{k}]", value) for k, value in enumerate(given))
     raise invalid_value(name, values, f"must be a sequence of {what if count is None else f'{count} {what}'}")
+
+
+def is_list(value: object) -> TypeGuard[Sequence[Any]]:
+    """Tell whether a value is a list of others: a list, tuple, range or NumPy array, but no text and no single number.
+
+    What has no order, or can be read only once, is none.
+    """
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
 def names(name: str, values: object, known: Collection[str], what: str = "values") -> Mapping[str, Any]:

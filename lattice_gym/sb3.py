@@ -19,7 +19,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from lattice_gym.checks import invalid_value
+from lattice_gym.checks import invalid_value, is_list
 from lattice_gym.envs.vector import LatticeWormVectorEnv
 
 
@@ -63,7 +63,7 @@ class WormVecEnv(VecEnv):
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
         """Give the next reset options: the same for all worms, or one dict for each."""
-        each = options if isinstance(options, list) else [options or {}] * self.num_envs
+        each = list(options) if is_list(options) else [options or {}] * self.num_envs
         if len(each) != self.num_envs or not all(isinstance(one, dict) for one in each):
             raise ValueError(f"options: must be one dict, or a list of one for each of {self.num_envs} worms")
         super().set_options(options)

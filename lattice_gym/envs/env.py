@@ -159,8 +159,8 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     faster than 0.0001 body lengths a second, for 30 s at most, in a medium of at most 0.05 N s/m^2, as drag only delays
     it there. What is then faster than 0.001, or has left the body, is a ValueError. In other tasks a worm with weight
     sags from the start, and that counts. Only the command is random, uniform over the ranges below. Numbers given as
-    `command` are held in every episode, those in `reset(options={...})` in that one; the options win. Of a list in
-    place of a number, one is drawn for each episode.
+    `command` are held in every episode, those in `reset(options={...})` in that one; the options win. Of a list or
+    NumPy array in place of a number, one is drawn for each episode.
 
     | task | name | drawn from | may be given |
     |---|---|---|---|
@@ -279,7 +279,7 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     observation
         List of terms, see above; None: the default ones.
     command
-        Commanded numbers, by name, to hold in every episode, or lists to draw one from for each.
+        Commanded numbers, by name, to hold in every episode, or lists or arrays to draw one from for each.
     world
         Medium, ground and ball around the worm and whether it lies: a World, or a dict of what differs from the task's
         own; None: the task's own, nothing at all for most. A part given as a dict changes the task's own part, or where
