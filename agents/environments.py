@@ -6,10 +6,8 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 import gymnasium
-import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers import RescaleAction
 from stable_baselines3.common.vec_env import VecCheckNan, VecEnv
 
 from agents.config import input_errors
@@ -30,10 +28,9 @@ class OutcomeErrors(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 def make_env(arguments: Mapping[str, Any]) -> Env:
-    """Environment with actions in [-1, 1] and `outcome_errors` in info; raises InputError if it cannot be built."""
+    """Environment with `outcome_errors` in info; raises InputError if it cannot be built."""
     with input_errors():
-        env = gymnasium.make(**arguments)
-    return OutcomeErrors(RescaleAction(env, np.float32(-1.0), np.float32(1.0)))
+        return OutcomeErrors(gymnasium.make(**arguments))
 
 
 def make_vector_env(arguments: Mapping[str, Any], n_envs: int, num_threads: int | None = None) -> VecEnv:

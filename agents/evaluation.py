@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, cast
 import numpy as np
 import numpy.typing as npt
 import tyro
+from gymnasium.wrappers import RescaleAction
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from agents import run_folder
@@ -41,7 +42,7 @@ EVALUATION_SEED = 1_000_000
 
 Action = npt.NDArray[np.float32]
 Policy = Callable[[Any], Action]
-"""Observation -> action in [-1, 1]."""
+"""Observation -> action."""
 PolicyMaker = Callable[[Env, int], Policy]
 """(environment just reset, seed of the episode) -> what acts in this episode."""
 
@@ -111,27 +112,29 @@ def make_policy(name: PolicyName, run: Run, env: Env) -> PolicyMaker:
 
 def trained_policy(checkpoint: Path, env: Env) -> PolicyMaker:
     """Let a checkpoint's model act, without exploration and with its normalisation frozen."""
-    normaliser = load_normaliser(checkpoint / run_folder.NORMALISATION, DummyVecEnv([lambda: env]))
+    learnt = RescaleAction(env, np.float32(-1.0), np.float32(1.0))
+    normaliser = load_normaliser(checkpoint / run_folder.NORMALISATION, DummyVecEnv([lambda: learnt]))
     normaliser.training = False
     model = load_model(checkpoint / run_folder.MODEL, normaliser)
 
     def act(observation: Any) -> Action:
-        return model.predict(normaliser.normalize_obs(observation), deterministic=True)[0]
+        action: Action = learnt.func(model.predict(normaliser.normalize_obs(observation), deterministic=True)[0])
+        return action
 
     return lambda _env, _seed: act
 
 
 def do_nothing(env: Env, _seed: int) -> Policy:
     """Every muscle off."""
-    action = np.full(env.action_space.shape or (), -1.0, dtype=np.float32)
+    action: Action = cast(Any, env.action_space).low
     return lambda _observation: action
 
 
 def random_actions(env: Env, seed: int) -> Policy:
     """Every action uniform and independent, also of what the environment draws from the same seed."""
     generator = np.random.default_rng([seed, 1])
-    shape = env.action_space.shape
-    return lambda _observation: generator.uniform(-1.0, 1.0, shape).astype(np.float32)
+    shape, (low, high) = env.action_space.shape, cast(Any, env.unwrapped).action_range
+    return lambda _observation: generator.uniform(low, high, shape).astype(np.float32)
 
 
 def hand_made_gait(env: Env, _seed: int) -> Policy:
@@ -142,7 +145,8 @@ def hand_made_gait(env: Env, _seed: int) -> Policy:
         raise NoGaitError(f"policy = 'gait': {worm.task.name} has no gait for {worm.task.command}")
 
     def act(_observation: Any) -> Action:
-        return (2.0 * group_means(activation(worm.time), worm.groups) - 1.0).astype(np.float32)
+        action: Action = worm.action_of(group_means(activation(worm.time), worm.groups)).astype(np.float32)
+        return action
 
     return act
 

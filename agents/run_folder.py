@@ -131,6 +131,7 @@ def env_arguments(
         "design": design.to_dict(),
         "muscles": muscles.to_dict() if isinstance(muscles, MuscleLayout) else muscles,
         "control": config.resolved_control,
+        "action_range": [-1.0, 1.0],  # that of the learner
         "rhythm": config.rhythm,
         "engine": config.engine,
         "control_dt": config.control_dt,

@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import RescaleAction
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
@@ -39,7 +40,10 @@ def _together(arguments: Mapping[str, Any], n_envs: int) -> VecEnv:
 
 
 def _apart(arguments: Mapping[str, Any], n_envs: int) -> VecEnv:
-    return DummyVecEnv([lambda: Monitor(make_env(arguments))] * n_envs)
+    def one() -> Monitor:
+        return Monitor(RescaleAction(make_env(arguments), np.float32(-1.0), np.float32(1.0)))
+
+    return DummyVecEnv([one] * n_envs)
 
 
 def _copy(values: Any) -> Any:

@@ -276,7 +276,7 @@ def test_environment_from_a_file(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("[1]", r"must hold a JSON object"),
-        ('{"wrold": {}}', r"wrold: unknown argument; known are activation, .*, world$"),
+        ('{"wrold": {}}', r"wrold: unknown argument; known are action_range, .*, world$"),
         ('{"control_dt": 0.1}', r"control_dt: must be given by its own option, --control-dt$"),
         ("{", r"damaged"),
     ],

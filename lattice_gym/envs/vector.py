@@ -9,16 +9,16 @@ from typing import Any, ClassVar, NoReturn, SupportsIndex
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from lattice_gym.checks import FloatArray, IntArray, choice, invalid_value, is_list, items, optional, whole
+from lattice_gym.envs.actions import to_command
 from lattice_gym.envs.attributes import SceneAttributes
 from lattice_gym.envs.core import OK, Mask, Worms
-from lattice_gym.envs.env import METADATA, clip_command
+from lattice_gym.envs.env import METADATA
 from lattice_gym.envs.observation import Observation
 from lattice_gym.envs.pictures import RENDER_MODES, Pictures
 from lattice_gym.envs.pitfalls import warn_of_pitfalls
@@ -98,7 +98,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         warn_of_pitfalls(self.scene, arguments)
         self.worms = Worms(self.scene, self.num_envs, num_threads=num_threads)
         self.metadata = {**METADATA, "render_fps": 1.0 / self.scene.control_dt, "autoreset_mode": self._mode}
-        self.single_action_space = spaces.Box(0.0, 1.0, (self.scene.n_group,), np.float32)
+        self.single_action_space = self.scene.action_space
         self.single_observation_space = self.worms.observer.space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -159,7 +159,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         """Advance every worm by `control_dt`, but for those that are reset instead."""
         if self._observation is None:
             raise gymnasium.error.ResetNeeded("reset() must be called first")
-        command, n_clipped = clip_command(actions, (self.num_envs, self.scene.n_group))
+        command, n_clipped = to_command(actions, (self.num_envs, self.scene.n_group), self.scene.action_range)
         if self._mode is AutoresetMode.DISABLED and self._ended.any():
             worms = _worms(self._ended)
             raise gymnasium.error.ResetNeeded(f"worms {worms} have ended and must be reset first")
