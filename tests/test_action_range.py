@@ -18,9 +18,9 @@ from stable_baselines3 import PPO
 from agents import run_folder
 from agents.config import TrainConfig
 from agents.environments import make_env
-from agents.evaluation import BASELINES
 from lattice_gym import LatticeWormEnv, LatticeWormVectorEnv, gait, group_means
 from lattice_gym.envs.actions import to_action, to_command
+from lattice_gym.policies.baselines import DoNothing, RandomActions
 from lattice_gym.sb3 import WormVecEnv
 
 ID = "LatticeWormExtension-v0"
@@ -197,10 +197,13 @@ def test_training_takes_a_range(tmp_path: Path) -> None:
     env = make_env(run_folder.requested_arguments(TrainConfig(task="extension", environment=file)))
     env.reset(seed=0)
     assert env.action_space.low[0] == -2.0
-    assert (BASELINES["nothing"](env, 0)(None) == -2.0).all()
-    chance = np.array([BASELINES["random"](env, seed)(None) for seed in range(9)])
-    assert -2.0 <= chance.min() < -1.5
-    assert 1.5 < chance.max() <= 2.0
+    nothing, chance = DoNothing(), RandomActions()
+    nothing.reset(env, 0)
+    assert (nothing(None) == -2.0).all()
+    chance.reset(env, 0)
+    drawn = np.array([chance(None) for _ in range(9)])
+    assert -2.0 <= drawn.min() < -1.5
+    assert 1.5 < drawn.max() <= 2.0
 
 
 def test_there_and_back() -> None:
