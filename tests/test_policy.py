@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -184,16 +185,18 @@ def test_file_is_scored_like_its_run(run: Path, exported: Path, capsys: pytest.C
     assert f"fidelity default; written to {exported.parent}/policy-evaluation-default.json" in capsys.readouterr().out
 
 
-def test_file_is_filmed_like_its_run(exported: Path) -> None:
+def test_file_is_filmed_like_its_run(exported: Path, tmp_path: Path) -> None:
     """Beside it, under its name; the learning curve is the run's alone."""
-    files = export_rollout(exported, seed=11, gif=(0.1, 0.3))
+    policy, file = load_policy(exported), tmp_path / "policy.npz"
+    replace(policy, environment={**policy.environment, "max_episode_steps": 4}).save(file)
+    files = export_rollout(file, seed=11, gif=(0.1, 0.2))
     assert [path.name for path in files.paths().values()] == [
         "policy-policy-11.npz",
         "policy-policy-11.mp4",
         "policy-policy-11-activation.png",
         "policy-policy-11.gif",
     ]
-    assert all(path.parent == exported.parent and path.stat().st_size > 0 for path in files.paths().values())
+    assert all(path.parent == tmp_path and path.stat().st_size > 0 for path in files.paths().values())
 
 
 def test_numpy_alone_plays_it(run: Path, exported: Path) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from inspect import signature
 from typing import Any
 
 import gymnasium
@@ -82,6 +83,10 @@ def play(policy: Policy, env: Env, seed: int) -> Iterator[Step]:
     left = -1 if _has_limit(env) else _worm(env).task.time_limit
     observation, info = env.reset(seed=whole("seed", seed, 0))
     if (reset := getattr(act, "reset", None)) is not None:
+        try:
+            signature(reset).bind(env, seed)
+        except TypeError as error:
+            raise ValueError(f"policy.reset: must take (env, seed), see lattice_gym.policies.base: {error}") from None
         reset(env, seed)
     yield Step(0.0, info)
     done = False
