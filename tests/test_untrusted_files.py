@@ -422,6 +422,36 @@ def test_files_of_arrays_are_not_unpickled(finished: Path, tmp_path: Path, flag:
     assert not flag.exists()
 
 
+def test_damaged_policies_are_refused(finished: Path, tmp_path: Path, flag: Path) -> None:
+    """Bytes of members that were hit, and texts of any kind: a sound policy, or a ValueError of the file."""
+    sound, file, generator = tmp_path / "policy.npz", tmp_path / "damaged.npz", np.random.default_rng(0)
+    _policy_file(finished, sound)
+    with zipfile.ZipFile(sound) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    meta = json.loads(np.lib.format.read_array(io.BytesIO(members["meta.npy"])).item())
+    junk: list[Any] = [None, True, -1, "", "evil:Boom", ":", [], {}, ["evil:Term"], {"law": "evil:Law"}, 10**400]
+    refused = 0
+    for _ in range(400):
+        spoilt = dict(members)
+        if generator.random() < 0.5:
+            name = str(generator.choice(list(members)))
+            content = bytearray(members[name])
+            content[generator.integers(min(200, len(content)))] = generator.integers(256)
+            spoilt[name] = bytes(content)
+        else:
+            changed = json.loads(json.dumps(meta))
+            part = changed["environment"] if generator.random() < 0.5 else changed
+            part[str(generator.choice(list(part)))] = junk[generator.integers(len(junk))]
+            spoilt["meta.npy"] = _member(np.array(json.dumps(changed)))
+        _write(file, spoilt)
+        try:
+            assert np.isfinite(load_policy(file)(np.zeros(296))).all()
+        except ValueError as error:
+            refused += str(error).startswith(f"{file}: ")
+    assert 100 < refused < 400
+    assert _nothing_ran(flag)
+
+
 UNPICKLES = re.compile(
     r"\bpickle\.loads?\(|\bcloudpickle\b|\bPPO\.load\(|VecNormalize\.load\(|\byaml\b|\bnp\.load\(|\beval\("
     r"|torch\.load\((?!.*weights_only=True)"
