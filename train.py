@@ -8,6 +8,7 @@ from pathlib import Path
 
 from agents.command_line import as_program, options
 from agents.config import TrainConfig
+from agents.run_folder import Run
 from agents.training import resume_settings, train
 
 NAME = "python train.py"
@@ -24,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if config.resume is not None:
         config = options(TrainConfig, NAME, arguments, resume_settings(config.resume))
     run = train(config)
-    print(f"run folder: {run}; score it with: python -m agents.evaluation {run}")
+    print(f"run folder: {run}; score it with: python -m agents.evaluation {run}{Run.open(run).allowance}")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -11,7 +11,20 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from lattice_gym.body.muscles import LAYOUTS
-from lattice_gym.checks import Parameters, checked, choice, count, flag, instance, items, names, real, require, whole
+from lattice_gym.checks import (
+    Parameters,
+    checked,
+    choice,
+    count,
+    flag,
+    import_code,
+    instance,
+    items,
+    names,
+    real,
+    require,
+    whole,
+)
 from lattice_gym.engines.registry import ENGINES, EngineName
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.tasks.base import Task
@@ -19,8 +32,16 @@ from lattice_gym.tasks.registry import resolve_task
 
 Control = Literal["muscle", "ring", "column"]
 
+LEARNER_RANGE = (-1.0, 1.0)
+"""Range in which the learner acts."""
+LEARNER_ACTIVATION = "tanh"
+"""What its hidden layers apply, as Stable-Baselines3's MlpPolicy has it."""
+OBSERVATION_CLIP, OBSERVATION_EPSILON = 10.0, 1e-8
+"""Bound of normalised observations, and what is added to their variances."""
+
 _HINTS = {"control": "muscle", "gamma": 0.9}  # for a task that says nothing of how to learn it
 _PLACES = ("design", "muscles", "environment", "run_dir", "resume")  # files of this machine, kept out of config.json
+_OUTSIDE = (*_PLACES, "allow")  # nor may config.json allow anything
 
 
 class InputError(ValueError):
@@ -40,6 +61,13 @@ def input_errors() -> Iterator[None]:
         raise
     except ValueError as error:
         raise InputError(str(error)) from error
+
+
+def allow_modules(modules: Iterable[str]) -> None:
+    """Import modules, so that files may name what is in them; raises InputError where one cannot be."""
+    with input_errors():
+        for module in modules:
+            import_code("allow", module)
 
 
 class Settings(Parameters):
@@ -144,10 +172,13 @@ class TrainConfig(Settings):
     """Run folder; runs/<task>-<seed>-<time> if not given."""
     resume: Path | None = checked(None, instance, kind=Path, none=True)
     """Run folder to continue, with its own settings; total-steps, time-limit and num-threads may be given beside it."""
+    allow: tuple[str, ...] = checked((), items, each=partial(instance, kind=str), what="names of modules")
+    """Modules that files may name, such as that of a task of your own in a run folder to continue: their code runs."""
 
     def __post_init__(self) -> None:
         """Check every field, and what must hold between them."""
         super().__post_init__()
+        allow_modules(self.allow)
         if self._hints()["control"] == "column" and self.control == "ring" and not _is_file(self.muscles):
             must = f"must be column or muscle for {self.task}; rings contract alike all around"
             raise InputError(f"control = 'ring': {must}")
@@ -185,13 +216,13 @@ class TrainConfig(Settings):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON-safe values, without the places on this machine (design, run_dir, ...)."""
-        return {name: value for name, value in super().to_dict().items() if name not in _PLACES}
+        return {name: value for name, value in super().to_dict().items() if name not in _OUTSIDE}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TrainConfig:
         """Build settings from `to_dict`; an unknown name raises InputError."""
         with input_errors():
-            return cls(**names("settings", values, [item.name for item in fields(cls) if item.name not in _PLACES]))
+            return cls(**names("settings", values, [item.name for item in fields(cls) if item.name not in _OUTSIDE]))
 
     def _hints(self) -> dict[str, Any]:
         """Return what the task says of how to learn it."""

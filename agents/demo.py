@@ -12,10 +12,11 @@ from pathlib import Path
 from agents import run_folder
 from agents.command_line import Stopped, run
 from agents.config import InputError, TrainConfig
-from agents.evaluation import PolicyName, Score, evaluate, format_scores
+from agents.evaluation import PolicyName, evaluate, format_scores
 from agents.rollouts import export
 from agents.run_folder import Run
 from agents.training import train
+from lattice_gym.policies.evaluation import Score
 from lattice_gym.rendering.extras import extra
 
 SETTINGS = TrainConfig(total_steps=150_000, seed=1, time_limit=240.0)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 import gymnasium
-import numpy as np
-import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers import RescaleAction
 from stable_baselines3.common.vec_env import VecCheckNan, VecEnv
 
 from agents.config import input_errors
@@ -18,22 +15,10 @@ from lattice_gym.sb3 import WormVecEnv
 Env = gymnasium.Env[Any, Any]
 
 
-class OutcomeErrors(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Adds `outcome_errors`, the outcome relative to the command, to the info of every step; see `Task.errors`."""
-
-    def step(self, action: npt.NDArray[Any]) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Take a step of the worm."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        task = cast(Any, self.unwrapped).task
-        info["outcome_errors"] = task.errors(info["outcome"], task.command)
-        return observation, reward, terminated, truncated, info
-
-
 def make_env(arguments: Mapping[str, Any]) -> Env:
-    """Environment with actions in [-1, 1] and `outcome_errors` in info; raises InputError if it cannot be built."""
+    """Environment of one worm; raises InputError if it cannot be built."""
     with input_errors():
-        env = gymnasium.make(**arguments)
-    return OutcomeErrors(RescaleAction(env, np.float32(-1.0), np.float32(1.0)))
+        return gymnasium.make(**arguments)
 
 
 def make_vector_env(arguments: Mapping[str, Any], n_envs: int, num_threads: int | None = None) -> VecEnv:

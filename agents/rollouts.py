@@ -1,10 +1,10 @@
-"""One recorded episode as numbers, video and pictures: `python -m agents.rollouts RUN`."""
+"""One recorded episode as numbers, video and pictures: `python -m agents.rollouts POLICY`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -12,15 +12,17 @@ import tyro
 from agents import run_folder
 from agents.command_line import Progress
 from agents.command_line import run as run_program
-from agents.config import InputError, input_errors
-from agents.environments import make_env
-from agents.evaluation import EVALUATION_SEED, POLICIES, PolicyName, make_policy, play
+from agents.config import InputError, allow_modules, input_errors
+from agents.evaluation import POLICIES, PolicyName, make_policy
+from agents.policies import PolicyFile, environment_of, open_source
 from agents.run_folder import Run
 from lattice_gym.checks import whole
-from lattice_gym.envs.core import OK
 from lattice_gym.envs.fidelity import FidelityName
+from lattice_gym.policies.base import EVALUATION_SEED
+from lattice_gym.policies.baselines import NoGaitError
+from lattice_gym.policies.recording import record as record_policy
 from lattice_gym.recording.files import replacing
-from lattice_gym.recording.trajectory import Recorder, Trajectory
+from lattice_gym.recording.trajectory import Trajectory
 from lattice_gym.rendering.figures import plot_activation
 from lattice_gym.rendering.video import render_video
 
@@ -36,7 +38,7 @@ class Artefacts:
     trajectory: Path
     video: Path
     activation: Path
-    learning_curve: Path
+    learning_curve: Path | None
     gif: Path | None = None
 
     def paths(self) -> dict[str, Path]:
@@ -44,27 +46,16 @@ class Artefacts:
         return {name.replace("_", " "): path for name, path in vars(self).items() if path is not None}
 
 
-def record(run: Run, policy: PolicyName = "policy", seed: int = EVALUATION_SEED) -> Trajectory:
-    """Play one seeded episode; the first frame is its start, each further one the end of a control step.
-
-    An episode that diverged ends with its last sound state again, at the time of the step that failed, and its status.
-    """
+def record(source: Run | PolicyFile, policy: PolicyName = "policy", seed: int = EVALUATION_SEED) -> Trajectory:
+    """Record one seeded episode of a policy by its name, as `lattice_gym.record` does of any."""
     with input_errors():
         seed = whole("seed", seed, 0)
-    env = make_env(run.env_arguments)
-    worm: Any = env.unwrapped
-    recorder = Recorder(worm.design, worm.layout, worm.task.name, worm.world)
-    total, progress = 0.0, Progress()
-    for number, step in enumerate(play(env, make_policy(policy, run, env), seed)):
-        progress(f"recording: step {number}")
-        total += step.reward
-        status = step.info["status"]
-        parts = (f"return {total:.2f}", worm.task.caption(worm.state), "" if status == OK else status)
-        line = "   ".join(part for part in parts if part)
-        state = worm.state
-        recorder.append(worm.time, state.position, worm.activation, step.reward, line, state.ball_position)
-    env.close()
-    return recorder.build(worm.task.markers(0))
+    player, progress = make_policy(policy, source), Progress()
+    with environment_of(source, player) as env:
+        try:
+            return record_policy(player, env, seed, progress)
+        except NoGaitError as error:
+            raise InputError(str(error)) from error
 
 
 def export(
@@ -74,23 +65,25 @@ def export(
     gif: tuple[float, float] | None = None,
     fidelity: FidelityName | None = None,
 ) -> Artefacts:
-    """Record an episode into the run folder with its video, heat map and the run's learning curve.
+    """Record an episode with its video and heat map, of a run folder with the run's learning curve.
 
-    `gif` is the span [s] of which an animated GIF is written too. The worm is computed at the fidelity given, which
-    then is in the names of the files, by default at that of training. Raises InputError that names the missing or
-    damaged file of the run folder, or a span that holds no frames of the episode.
+    `path` is a run folder, or a policy file, beside which the files then stand under its name. `gif` is the span [s] of
+    which an animated GIF is written too. The worm is computed at the fidelity given, which then is in the names of the
+    files, by default at that of training. Raises InputError that names a missing or damaged file, or a span that holds
+    no frames of the episode.
     """
-    run = Run.open(path).at(fidelity)
+    source = open_source(path).at(fidelity)
     stem = run_folder.at_fidelity(f"{policy}-{seed}", fidelity)
     files = Artefacts(
-        path / f"{stem}.npz",
-        path / f"{stem}.mp4",
-        path / f"{stem}-activation.png",
-        path / run_folder.at_fidelity("learning_curve.png", fidelity),
-        None if gif is None else path / f"{stem}.gif",
+        source.place(f"{stem}.npz"),
+        source.place(f"{stem}.mp4"),
+        source.place(f"{stem}-activation.png"),
+        source.place(run_folder.at_fidelity("learning_curve.png", fidelity)) if isinstance(source, Run) else None,
+        None if gif is None else source.place(f"{stem}.gif"),
     )
-    plot_learning_curve(run, files.learning_curve, fidelity)
-    trajectory = record(run, policy, seed)
+    if isinstance(source, Run) and files.learning_curve is not None:
+        plot_learning_curve(source, files.learning_curve, fidelity)
+    trajectory = record(source, policy, seed)
     progress = Progress()
     if gif is not None and files.gif is not None:
         render_video(
@@ -168,28 +161,32 @@ def evaluated_returns(run: Run, fidelity: FidelityName | None = None) -> dict[st
 
 
 def main(
-    run: Annotated[Path, tyro.conf.Positional],
+    source: Annotated[Path, tyro.conf.Positional],
     policy: PolicyName = "policy",
     seed: int = EVALUATION_SEED,
     gif: tuple[float, float] | None = None,
     fidelity: FidelityName | None = None,
+    allow: tuple[str, ...] = (),
 ) -> None:
-    """Record one episode and write its trajectory, video, activation heat map and the learning curve.
+    """Record one episode and write its trajectory, video, activation heat map and, of a run, the learning curve.
 
     Parameters
     ----------
-    run
-        Run folder of `python train.py`.
+    source
+        Run folder of `python train.py`, or policy file of `python -m agents.export`.
     policy
-        What drives the muscles.
+        What drives the muscles: the trained policy, or one of the baselines.
     seed
         Seed of the episode.
     gif
         Start and end of a span of which an animated GIF is written too [s].
     fidelity
         How finely the worm is computed; as in training by default.
+    allow
+        Modules that it may name, as of a task of your own: their code runs.
     """
-    for title, path in export(run, policy, seed, gif, fidelity).paths().items():
+    allow_modules(allow)
+    for title, path in export(source, policy, seed, gif, fidelity).paths().items():
         print(f"{title:16}{path}")
 
 

@@ -7,13 +7,15 @@ muscles.json     MuscleLayout
 environment.json further arguments of the environment, if any were given
 progress.csv     one row an update
 checkpoints/     the newest few checkpoints, each in a folder named by its environment steps that appears once complete:
-                 model.zip         policy and optimiser
-                 vecnormalize.pkl  means and spreads of observations and rewards that belong to it
+                 model.zip          policy and optimiser, as Stable-Baselines3 writes them
+                 normalisation.npz  means and spreads of observations and rewards that belong to it
 tensorboard/     the same numbers as progress.csv, for TensorBoard
 evaluation.json  scores beside baselines, and the steps of the checkpoint they are of, once it was evaluated;
                  evaluation-fine.json those at a fidelity that was asked for
 
-Models and normalisations are pickles: open only runs that you trust.
+Nothing that is read here runs code: no file is unpickled, and a task, a term or a law of somebody's own, which
+config.json and environment.json name as "module:Class", is taken only where its module is imported already.
+`stable_baselines3.PPO.load` on a model.zip does unpickle: give it only files that you trust.
 """
 
 from __future__ import annotations
@@ -28,17 +30,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from inspect import signature
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, Self, TypeVar, get_args
 
-from agents.config import InputError, TaskError, TrainConfig, input_errors
+from agents.config import LEARNER_RANGE, InputError, TaskError, TrainConfig, input_errors
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import MuscleLayout, resolve_layout
-from lattice_gym.checks import choice, whole
+from lattice_gym.checks import choice, code_names, whole, without_imports
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.envs.scene import Scene
 from lattice_gym.recording.files import replacing
 from lattice_gym.recording.provenance import PACKAGES, provenance
+from lattice_gym.tasks.registry import resolve_task
 
 CONFIG = "config.json"
 VERSIONS = "versions.json"
@@ -46,7 +49,7 @@ DESIGN = "design.json"
 MUSCLES = "muscles.json"
 ENVIRONMENT = "environment.json"
 MODEL = "model.zip"
-NORMALISATION = "vecnormalize.pkl"
+NORMALISATION = "normalisation.npz"
 PROGRESS = "progress.csv"
 CHECKPOINTS = "checkpoints"
 TENSORBOARD = "tensorboard"
@@ -59,42 +62,62 @@ _KEPT = 3
 
 
 @dataclass(frozen=True)
-class Run:
-    """A run folder that has been read: its settings, and the arguments that rebuild its environment."""
+class Source:
+    """Where a policy comes from, and the arguments that rebuild its environment."""
 
     path: Path
-    config: TrainConfig
     env_arguments: dict[str, Any]
+
+    @property
+    def fidelity(self) -> FidelityName:
+        """How finely the worm is computed here."""
+        name: FidelityName = self.env_arguments.get("fidelity", "default")
+        return name
+
+    def at(self, fidelity: FidelityName | None) -> Self:
+        """Source with its worm computed as finely as that, None: as in training; InputError if it cannot be."""
+        if fidelity is None or fidelity == self.fidelity:
+            return self
+        with input_errors():
+            choice("fidelity", fidelity, get_args(FidelityName))
+            observed = self.env_arguments.get("observation")
+            if observed is None and "task" in self.env_arguments:
+                observed = resolve_task(self.env_arguments["task"]).observation
+        if observed is not None and "nodes" in observed:
+            raise InputError(
+                f"fidelity = {fidelity!r}: must be {self.fidelity!r}, as {self.path} observes all nodes, not sites"
+            )
+        return replace(self, env_arguments=self.env_arguments | {"fidelity": fidelity})
+
+    @property
+    def allowance(self) -> str:
+        """Option with which a program takes the code that it names, to write after a command; empty for most."""
+        named = {name: value for name, value in self.env_arguments.items() if name != "id"}
+        modules = dict.fromkeys(text.partition(":")[0] for _, text in code_names("", named))
+        return f" --allow {' '.join(modules)}" if modules else ""
+
+    def place(self, name: str) -> Path:
+        """Where a file about it is written: in the run folder."""
+        return self.path / name
+
+
+@dataclass(frozen=True)
+class Run(Source):
+    """A run folder that has been read."""
+
+    config: TrainConfig
 
     @classmethod
     def open(cls, path: Path) -> Run:
         """Read settings, design and muscles; raises InputError that names the missing or damaged file."""
         if not path.is_dir():
             raise InputError(f"{path}: no such run folder")
-        config = read_file(path / CONFIG, lambda file: TrainConfig.from_dict(_parse_json(file)))
+        config = read_file(path / CONFIG, _parse_settings)
         design = read_file(path / DESIGN, _parse_design)
         layout = read_file(path / MUSCLES, lambda file: resolve_layout(_parse_json(file), build_lattice(design)))
         file = path / ENVIRONMENT
         further = read_environment(file) if file.exists() else {}
-        return cls(path, config, env_arguments(config, design, layout, further))
-
-    @property
-    def fidelity(self) -> FidelityName:
-        """How finely the worm is computed here; `config.fidelity` is how it was in training."""
-        name: FidelityName = self.env_arguments["fidelity"]
-        return name
-
-    def at(self, fidelity: FidelityName | None) -> Run:
-        """Run with its worm computed as finely as that, None: as in training; InputError if it cannot be."""
-        if fidelity is None or fidelity == self.fidelity:
-            return self
-        with input_errors():
-            choice("fidelity", fidelity, get_args(FidelityName))
-        if "nodes" in (self.config.observation or self.config.task_class.observation):
-            raise InputError(
-                f"fidelity = {fidelity!r}: must be {self.fidelity!r}, as {self.path} observes all nodes, not sites"
-            )
-        return replace(self, env_arguments=self.env_arguments | {"fidelity": fidelity})
+        return cls(path=path, config=config, env_arguments=env_arguments(config, design, layout, further))
 
     def rows(self) -> list[dict[str, float]]:
         """Rows of progress.csv; what an update did not log is absent from its row."""
@@ -131,6 +154,7 @@ def env_arguments(
         "design": design.to_dict(),
         "muscles": muscles.to_dict() if isinstance(muscles, MuscleLayout) else muscles,
         "control": config.resolved_control,
+        "action_range": list(LEARNER_RANGE),
         "rhythm": config.rhythm,
         "engine": config.engine,
         "control_dt": config.control_dt,
@@ -201,6 +225,8 @@ def read_environment(path: Path) -> dict[str, Any]:
     given = read_json(path)
     if not isinstance(given, dict):
         raise InputError(f"{path}: must hold a JSON object of arguments of LatticeWormEnv by name")
+    with input_errors():
+        without_imports(f"{path}", given)
     taken = set(signature(Scene).parameters) - {"goals_apart"}
     settings = {field.name for field in fields(TrainConfig)}
     for name in given:
@@ -275,6 +301,15 @@ def _parse_json(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
+def _parse_settings(path: Path) -> TrainConfig:
+    settings = _parse_json(path)
+    try:
+        without_imports("", settings)
+    except ValueError as error:
+        raise TaskError(str(error)) from error
+    return TrainConfig.from_dict(settings)
+
+
 def _parse_design(path: Path) -> LatticeDesign:
     return LatticeDesign.from_dict(_parse_json(path))
 
@@ -285,7 +320,7 @@ def read_file(path: Path, read: Callable[[Path], T]) -> T:
         return read(path)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except TaskError as error:  # the file is sound, the module of its task is elsewhere
+    except TaskError as error:  # the file is sound, what it names is elsewhere or not to be had
         raise TaskError(f"{path}: {error}") from error
     except Exception as error:
         raise InputError(f"{path}: damaged or not of this kind: {error}") from error

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from datetime import datetime
 from pathlib import Path
@@ -15,21 +14,21 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
-from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from tqdm import tqdm
 
-from agents import run_folder
+from agents import checkpoints, run_folder
 from agents.command_line import LINE_EVERY, Stopped, on_signal
-from agents.config import InputError, TrainConfig
+from agents.config import OBSERVATION_CLIP, OBSERVATION_EPSILON, InputError, TrainConfig
 from agents.environments import make_env, make_vector_env
-from agents.run_folder import Run, read_file
+from agents.run_folder import Run
+from lattice_gym.policies.evaluation import gather
 from lattice_gym.recording.files import replacing
 
 _DIVERGED = "worm/diverged_episodes"
 _NEW_ONLY = ("design", "muscles", "environment", "run_dir")
-_MAY_CHANGE = ("total_steps", "time_limit", "num_threads", "resume", *_NEW_ONLY)
+_MAY_CHANGE = ("total_steps", "time_limit", "num_threads", "resume", "allow", *_NEW_ONLY)
 
 
 def train(config: TrainConfig) -> Path:
@@ -48,14 +47,15 @@ def train(config: TrainConfig) -> Path:
         print(f"{done}: nothing to do; raise --total-steps", flush=True)
         return run.path
     print(done, flush=True)
+    again = f"python train.py --resume {run.path}{run.allowance}"
     try:
         log = _run_training(run, config, began)
         if log.signal is not None:
             raise Stopped(log.signal)
     except Stopped as stopped:
-        raise Stopped(stopped.number, f"python train.py --resume {run.path}") from None
+        raise Stopped(stopped.number, again) from None
     if log.stop_reason is not None and log.num_timesteps < config.total_steps:
-        print(f"stopped by {log.stop_reason}; continue with: python train.py --resume {run.path}", flush=True)
+        print(f"stopped by {log.stop_reason}; continue with: {again}", flush=True)
     return run.path
 
 
@@ -145,7 +145,7 @@ def new_model(config: TrainConfig, venv: VecEnv) -> PPO:
     """Untrained PPO on worms whose observations and rewards are normalised."""
     return PPO(
         "MlpPolicy",
-        VecNormalize(venv, gamma=config.resolved_gamma),
+        VecNormalize(venv, gamma=config.resolved_gamma, clip_obs=OBSERVATION_CLIP, epsilon=OBSERVATION_EPSILON),
         learning_rate=step_size(config),
         n_steps=config.n_steps,
         batch_size=config.batch_size,
@@ -167,14 +167,16 @@ def restored_model(run: Run, venv: VecEnv) -> PPO:
     """Model of the newest checkpoint that can be read, with noise of its own; raises InputError if there is none."""
     damaged: list[Path] = []
     trouble = InputError(f"{run.path / run_folder.CHECKPOINTS}: no checkpoint to continue from")
+    model = new_model(run.config, venv)
     for folder in run.checkpoints():
         try:
-            normaliser = load_normaliser(folder / run_folder.NORMALISATION, venv)
-            model = load_model(folder / run_folder.MODEL, normaliser, learning_rate=step_size(run.config))
+            checkpoints.restore(model, folder)
         except InputError as error:
             damaged.append(folder)
             trouble = error
             continue
+        model.num_timesteps = int(folder.name)
+        model._n_updates = model.num_timesteps // (model.n_envs * model.n_steps) * model.n_epochs
         for other in damaged:
             aside = other.rename(other.with_name(f"damaged-{other.name}"))
             print(f"continuing from an older checkpoint, {folder}: the newer {aside} cannot be read", file=sys.stderr)
@@ -183,29 +185,6 @@ def restored_model(run: Run, venv: VecEnv) -> PPO:
         run_folder.write_json(path, [*run_folder.read_sessions(path), run_folder.session(model.num_timesteps)])
         return model
     raise trouble
-
-
-def load_model(path: Path, env: VecEnv, **replaced: object) -> PPO:
-    """PPO of a model.zip, ready to act in `env`, some attributes replaced; raises InputError that names the file."""
-    model = read_file(path, lambda file: PPO.load(file, env=env, device="cpu", custom_objects=replaced))
-    if not all(bool(torch.isfinite(values).all()) for values in model.policy.state_dict().values()):
-        raise InputError(f"{path}: damaged or not of this kind: a weight is not finite")
-    return model
-
-
-def load_normaliser(path: Path, venv: VecEnv) -> VecNormalize:
-    """Normalisation of a vecnormalize.pkl around `venv`; raises InputError that names the file."""
-
-    def read(file: Path) -> VecNormalize:
-        normaliser = VecNormalize.load(str(file), venv)
-        if not isinstance(normaliser, VecNormalize) or not isinstance(normaliser.obs_rms, RunningMeanStd):
-            raise ValueError(f"holds {type(normaliser).__name__}: must be VecNormalize of one observation array")
-        for moments in (normaliser.obs_rms, normaliser.ret_rms):
-            if not (np.isfinite(moments.mean).all() and np.isfinite(moments.var).all()):
-                raise ValueError("a mean or variance is not finite")
-        return normaliser
-
-    return read_file(path, read)
 
 
 class TrainingLog(BaseCallback):
@@ -238,14 +217,8 @@ class TrainingLog(BaseCallback):
 
     def save(self) -> None:
         """Write a checkpoint of the model as it is now."""
-        normaliser = self.model.get_env()
-        assert isinstance(normaliser, VecNormalize)
-        files = {
-            run_folder.MODEL: self.model.save,
-            run_folder.NORMALISATION: lambda path: normaliser.save(str(path)),
-        }
         self._saved_at = self.model.num_timesteps
-        run_folder.save_checkpoint(self._run.path, self._saved_at, files)
+        run_folder.save_checkpoint(self._run.path, self._saved_at, checkpoints.files(self.model))
 
     def _on_training_start(self) -> None:
         total = self._run.config.total_steps
@@ -289,12 +262,6 @@ class TrainingLog(BaseCallback):
 
     def _on_training_end(self) -> None:
         self._bar.close()
-
-
-def gather(outcomes: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
-    """Values of every name over the outcomes that have it."""
-    names = dict.fromkeys(name for outcome in outcomes for name in outcome)
-    return {name: [outcome[name] for outcome in outcomes if name in outcome] for name in names}
 
 
 class ProgressTable(KVWriter):

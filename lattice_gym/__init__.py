@@ -3,6 +3,9 @@
 Importing it registers `LatticeWorm-v0` and one id for every task, such as `LatticeWormCrawl-v0`; `LatticeWormEnv` is
 their specification, with a table of them, and `LatticeWormVectorEnv` steps many of one kind at once. `register_task`
 does so for a task of your own.
+
+`evaluate`, `record` and `film` take any policy, a callable from observation to action, `load_policy` a trained one from
+its file.
 """
 
 from __future__ import annotations
@@ -31,6 +34,10 @@ from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
 from lattice_gym.physics.laws.medium import Medium
 from lattice_gym.physics.world import World
+from lattice_gym.policies.conversion import network_policy
+from lattice_gym.policies.evaluation import evaluate
+from lattice_gym.policies.network import NetworkPolicy, load_policy
+from lattice_gym.policies.recording import film, record
 from lattice_gym.tasks.base import Command, GoalTask, RewardTerm, Task
 from lattice_gym.tasks.gait import Gait, group_means
 from lattice_gym.tasks.registry import design_for, gait
@@ -53,6 +60,7 @@ __all__ = [
     "Medium",
     "Muscle",
     "MuscleLayout",
+    "NetworkPolicy",
     "ObservationTerm",
     "RewardTerm",
     "Task",
@@ -60,10 +68,15 @@ __all__ = [
     "build_lattice",
     "design_for",
     "diagonal",
+    "evaluate",
+    "film",
     "gait",
     "group_means",
     "horizontal",
+    "load_policy",
     "named_layout",
+    "network_policy",
+    "record",
     "register_task",
     "resolve_layout",
     "tie",

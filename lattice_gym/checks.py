@@ -8,14 +8,16 @@ raises a ValueError like "LatticeDesign.height = -1: must be a number from 1e-06
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Set
+import sys
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache, partial
+from inspect import getattr_static
 from math import inf
 from numbers import Real
 from pkgutil import resolve_name
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeGuard, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -95,18 +97,55 @@ def subclass(name: str, value: object, kind: type[T], known: Mapping[str, type[T
     """Class by its name among the known ones, by "module:Class", or itself."""
     found = known.get(value, value) if isinstance(value, str) else value
     if isinstance(found, str) and ":" in found:
-        try:
-            found = resolve_name(found)
-        except Exception as error:  # whatever the module raises
-            must = f"cannot be imported: {type(error).__name__}: {error}"
-            if isinstance(error, ModuleNotFoundError) and f"{found.split(':')[0]}.".startswith(f"{error.name}."):
-                must += "; put the folder that holds it on PYTHONPATH, or run from there"
-            raise invalid_value(name, value, must) from error
+        found = import_code(name, found)
     if isinstance(found, type) and issubclass(found, kind):
         return found
     raise invalid_value(
         name, value, f'must be one of {", ".join(known)}, a subclass of {kind.__name__} or "module:Class"'
     )
+
+
+def import_code(name: str, value: str) -> object:
+    """Import what a module, "module:Class" or "module:" names; a ValueError where it cannot be."""
+    try:
+        return resolve_name(value if ":" in value else f"{value}:")
+    except Exception as error:  # whatever the module raises
+        must = f"cannot be imported: {type(error).__name__}: {error}"
+        if isinstance(error, ModuleNotFoundError) and f"{value.split(':')[0]}.".startswith(f"{error.name}."):
+            must += "; put the folder that holds it on PYTHONPATH, or run from there"
+        raise invalid_value(name, value, must) from error
+
+
+def code_names(name: str, values: object) -> Iterator[tuple[str, str]]:
+    """Texts that name code, as "module:Class", in values as JSON has them, each with its place."""
+    if isinstance(values, Mapping):
+        for key, value in values.items():
+            yield from code_names(f"{name}{': ' * bool(name)}{key}", value)
+    elif isinstance(values, list | tuple):
+        for place, value in enumerate(values):
+            yield from code_names(f"{name}[{place}]", value)
+    elif isinstance(values, str) and ":" in values:
+        yield name, values
+
+
+def without_imports(name: str, values: object) -> None:
+    """Refuse what was read from a file where it names code that is not imported already.
+
+    Reading a file never imports anything: whoever trusts it imports its modules first.
+    """
+    for place, text in code_names(name, values):
+        module, _, path = text.partition(":")
+        if module not in sys.modules:
+            must = (
+                f"names code, and reading a file imports none; if you trust it, import {module} first, or start the "
+                f"program with --allow {module}"
+            )
+            raise invalid_value(place, text, must)
+        found: object = sys.modules[module]
+        for part in path.split("."):
+            found = getattr_static(found, part, None)  # It runs nothing, such as a module's own __getattr__.
+        if not isinstance(found, type):
+            raise invalid_value(place, text, f"must be a class of {module}")
 
 
 def array(
@@ -169,6 +208,16 @@ def items(
         if count is None or len(given) == count:
             return tuple(each(f"{name}[{k}]", value) for k, value in enumerate(given))
     raise invalid_value(name, values, f"must be a sequence of {what if count is None else f'{count} {what}'}")
+
+
+def is_list(value: object) -> TypeGuard[Sequence[Any]]:
+    """Tell whether a value is a list of others: a list, tuple, range or NumPy array, but no text and no single number.
+
+    What has no order, or can be read only once, is none.
+    """
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
 def names(name: str, values: object, known: Collection[str], what: str = "values") -> Mapping[str, Any]:

@@ -19,12 +19,14 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from lattice_gym.checks import invalid_value
+from lattice_gym.checks import invalid_value, is_list
 from lattice_gym.envs.vector import LatticeWormVectorEnv
 
 
 class WormVecEnv(VecEnv):
     """Stable-Baselines3's VecEnv of n worms that step together: actions in [-1, 1], episodes summed up and judged.
+
+    Actions lie there whatever the `action_range` of the worms.
 
     It gives what DummyVecEnv gives of n single worms with rescaled actions, each in a Monitor, to the last bit, except
     that the info of a worm in mid-episode is empty. That of an episode's last step holds `outcome_errors` too, see
@@ -53,7 +55,7 @@ class WormVecEnv(VecEnv):
             raise ValueError(f"envs: autoreset_mode must be AutoresetMode.SAME_STEP, got {mode}")
         self.envs: Any = envs
         assert isinstance(envs.single_action_space, spaces.Box)
-        actions, _, self._commands = rescale_box(envs.single_action_space, np.float32(-1.0), np.float32(1.0))
+        actions, _, self._own_actions = rescale_box(envs.single_action_space, np.float32(-1.0), np.float32(1.0))
         super().__init__(envs.num_envs, envs.single_observation_space, actions)
         self._task = bare.scene.task
         self._has_goals = isinstance(envs.single_observation_space, spaces.Dict)
@@ -63,7 +65,7 @@ class WormVecEnv(VecEnv):
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
         """Give the next reset options: the same for all worms, or one dict for each."""
-        each = options if isinstance(options, list) else [options or {}] * self.num_envs
+        each = list(options) if is_list(options) else [options or {}] * self.num_envs
         if len(each) != self.num_envs or not all(isinstance(one, dict) for one in each):
             raise ValueError(f"options: must be one dict, or a list of one for each of {self.num_envs} worms")
         super().set_options(options)
@@ -92,7 +94,7 @@ class WormVecEnv(VecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step every worm; one whose episode ended starts the next at once."""
-        observations, rewards, terminated, truncated, infos = self.envs.step(self._commands(self._actions))
+        observations, rewards, terminated, truncated, infos = self.envs.step(self._own_actions(self._actions))
         dones = terminated | truncated
         self._returns += rewards
         self._lengths += 1

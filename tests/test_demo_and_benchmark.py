@@ -20,12 +20,10 @@ from agents import demo as demo_module
 from agents.benchmark import PARTS, BenchmarkConfig, Stopwatch, benchmark, format_runs
 from agents.command_line import as_program
 from agents.config import InputError
-from agents.evaluation import (
-    Score,
-)
 from agents.rollouts import Artefacts
 from agents.run_folder import Run
 from agents.training import TrainingLog
+from lattice_gym.policies.evaluation import Score
 
 pytestmark = pytest.mark.slow
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import subprocess
@@ -19,7 +20,9 @@ from gymnasium.vector import SyncVectorEnv
 import lattice_gym
 from agents.config import InputError, TrainConfig
 from agents.evaluation import evaluate
+from agents.evaluation import main as evaluation_main
 from agents.rollouts import export
+from agents.rollouts import main as rollouts_main
 from agents.run_folder import Run
 from agents.training import train
 
@@ -179,6 +182,10 @@ def test_learning(folder: Path) -> None:
     command = [sys.executable, str(ROOT / "train.py"), "--task", "twist:Geared", *options]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=os.environ)
     assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("score it with: python -m agents.evaluation run --allow twist\n")
+    with pytest.raises(InputError, match=r"config.json: task = 'twist:Geared': names code, .* import twist first"):
+        Run.open(folder / "run")
+    importlib.import_module("twist")
     run = Run.open(folder / "run")
     settings = json.loads((run.path / "config.json").read_text())
     assert (settings["task"], settings["control"], settings["gamma"]) == ("twist:Geared", "muscle", 0.8)
@@ -188,6 +195,7 @@ def test_learning(folder: Path) -> None:
     assert scores["gait"].outcome_mean.keys() == {"angle"}
     files = export(run.path, "gait")
     assert files.video.stat().st_size > 10_000
+    assert files.learning_curve is not None
     assert files.learning_curve.exists()
 
 
@@ -198,7 +206,7 @@ def test_a_task_without_a_gait_is_scored_without_one(folder: Path, monkeypatch: 
     )
     run = train(config)
     assert evaluate(run, episodes=1).keys() == {"policy", "nothing", "random"}
-    with pytest.raises(InputError, match=r"^policy = 'gait': twist:Twist has no gait"):
+    with pytest.raises(InputError, match=r"^policy = 'gait': twist has no gait for"):
         export(run, "gait")
     from twist import Twist
 
@@ -209,14 +217,21 @@ def test_a_task_without_a_gait_is_scored_without_one(folder: Path, monkeypatch: 
 
 
 def test_a_run_whose_task_is_elsewhere(tmp_path: Path) -> None:
-    """Its files are sound, and the error says where Python looks."""
+    """Its files are sound, and the error says what to import; where it is not, where Python looks."""
     (tmp_path / "config.json").write_text('{"task": "nowhere:Twist"}')
     for use in (evaluate, export):
         with pytest.raises(InputError) as caught:
             use(tmp_path)
         assert str(caught.value) == (
-            f"{tmp_path / 'config.json'}: task = 'nowhere:Twist': cannot be imported: ModuleNotFoundError: No module "
-            "named 'nowhere'; put the folder that holds it on PYTHONPATH, or run from there"
+            f"{tmp_path / 'config.json'}: task = 'nowhere:Twist': names code, and reading a file imports none; if you "
+            "trust it, import nowhere first, or start the program with --allow nowhere"
+        )
+    for program in (evaluation_main, rollouts_main):
+        with pytest.raises(InputError) as caught:
+            program(tmp_path, allow=("nowhere",))
+        assert str(caught.value) == (
+            "allow = 'nowhere': cannot be imported: ModuleNotFoundError: No module named 'nowhere'; put the folder "
+            "that holds it on PYTHONPATH, or run from there"
         )
 
 

@@ -14,10 +14,7 @@ import pytest
 from runs import DAMAGE, TINY
 
 from agents.config import InputError
-from agents.evaluation import (
-    POLICIES,
-    evaluate,
-)
+from agents.evaluation import POLICIES, evaluate
 from agents.rollouts import evaluated_returns, export, record
 from agents.run_folder import Run
 from agents.training import resume_settings, train
@@ -87,6 +84,7 @@ def test_rollout_artefacts_open(copy: Path) -> None:
     pixels = np.frombuffer(subprocess.run(command, capture_output=True, check=True).stdout, dtype=np.uint8)
     frames = pixels.reshape(trajectory.n_frame, -1).astype(np.float64)
     assert np.abs(frames[-1] - frames[0]).max() > 100.0
+    assert files.learning_curve is not None
     for picture in (files.activation, files.learning_curve):
         assert iio.imread(picture).std() > 5.0
     assert files.gif == copy / "policy-11.gif"

@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import RescaleAction
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
@@ -27,6 +28,17 @@ GOAL = "LatticeWormReachGoal-v0"
 COMMANDS = {"azimuth": [0.0, 1.0, 2.0]}  # one is drawn for each episode
 
 
+class Judged(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Adds the outcome by the command, which the adapter tells at the end of an episode."""
+
+    def step(self, action: Any) -> Any:
+        """Take a step of the worm."""
+        *told, info = self.env.step(action)
+        task = cast(Any, self.unwrapped).task
+        info["outcome_errors"] = task.errors(info["outcome"], task.command)
+        return *told, info
+
+
 def _arguments(name: str, **others: Any) -> dict[str, Any]:
     return {"id": name, "control": "column", "fidelity": "fast"} | others
 
@@ -39,7 +51,10 @@ def _together(arguments: Mapping[str, Any], n_envs: int) -> VecEnv:
 
 
 def _apart(arguments: Mapping[str, Any], n_envs: int) -> VecEnv:
-    return DummyVecEnv([lambda: Monitor(make_env(arguments))] * n_envs)
+    def one() -> Monitor:
+        return Monitor(RescaleAction(Judged(make_env(arguments)), np.float32(-1.0), np.float32(1.0)))
+
+    return DummyVecEnv([one] * n_envs)
 
 
 def _copy(values: Any) -> Any:

@@ -19,10 +19,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from agents import run_folder
 from agents.config import InputError
 from agents.environments import make_env, make_vector_env
-from agents.evaluation import (
-    evaluate,
-    make_policy,
-)
+from agents.evaluation import evaluate, make_policy
 from agents.rollouts import record
 from agents.run_folder import Run
 from agents.training import new_model, resume_settings, step_size, train
@@ -51,7 +48,7 @@ def test_run_folder_is_complete(finished: Path) -> None:
     assert run.config == replace(TINY, control="ring", gamma=0.8)
     assert json.loads((finished / "config.json").read_text())["control"] == "ring"
     assert run.steps == 160
-    assert {file.name for file in run.newest.iterdir()} == {"model.zip", "vecnormalize.pkl"}
+    assert {file.name for file in run.newest.iterdir()} == {"model.zip", "normalisation.npz"}
     assert [folder.name for folder in run.checkpoints()] == ["000000000160", "000000000080"]
     assert LatticeDesign.from_dict(json.loads((finished / "design.json").read_text())) == LatticeDesign()
     assert len(json.loads((finished / "muscles.json").read_text())["muscles"]) == 48
@@ -118,7 +115,7 @@ def _first_action(path: Path) -> Any:
     run = Run.open(path)
     env = make_env(run.env_arguments)
     observation, _ = env.reset(seed=0)
-    return make_policy("policy", run, env)(env, 0)(observation)
+    return make_policy("policy", run)(observation)
 
 
 def test_resume_continues_with_the_same_settings(copy: Path) -> None:
@@ -148,7 +145,7 @@ def test_a_checkpoint_cut_short_changes_nothing(copy: Path) -> None:
         raise KeyboardInterrupt
 
     model = (Run.open(copy).newest / "model.zip").read_bytes()
-    files = {"model.zip": lambda path: path.write_bytes(b"new"), "vecnormalize.pkl": killed}
+    files = {"model.zip": lambda path: path.write_bytes(b"new"), "normalisation.npz": killed}
     with pytest.raises(KeyboardInterrupt):
         run_folder.save_checkpoint(copy, 240, files)
     assert Run.open(copy).steps == 160
@@ -276,7 +273,7 @@ def test_environment_from_a_file(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("[1]", r"must hold a JSON object"),
-        ('{"wrold": {}}', r"wrold: unknown argument; known are activation, .*, world$"),
+        ('{"wrold": {}}', r"wrold: unknown argument; known are action_range, .*, world$"),
         ('{"control_dt": 0.1}', r"control_dt: must be given by its own option, --control-dt$"),
         ("{", r"damaged"),
     ],

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy.typing as npt
+
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout
-from lattice_gym.checks import IntArray
+from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.envs.actions import to_action
 from lattice_gym.envs.core import Worms
 from lattice_gym.envs.scene import Scene
 from lattice_gym.physics.assembly import RodModel
@@ -57,6 +60,18 @@ class SceneAttributes:
     def groups(self) -> IntArray:
         """Control group of every active muscle, shape (n_muscle,)."""
         return self.scene.groups
+
+    @property
+    def action_range(self) -> tuple[float, float]:
+        """Least and largest number of an action, which stand for the commands 0 and 1."""
+        return self.scene.action_range
+
+    def action_of(self, command: npt.ArrayLike) -> FloatArray:
+        """Return the action that stands for commands from 0 to 1 of every control group, shape (..., n_group) both.
+
+        With a gait: `env.step(env.unwrapped.action_of(group_means(gait(time), groups)))`.
+        """
+        return to_action(command, self.scene.action_range)
 
     @property
     def adaptation(self) -> Adaptation | None:

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from lattice_gym.body.design import LatticeDesign
-from lattice_gym.checks import FloatArray, IntArray, choice, optional, whole
+from lattice_gym.checks import FloatArray, choice, optional, whole
+from lattice_gym.envs.actions import to_command
 from lattice_gym.envs.attributes import SceneAttributes
 from lattice_gym.envs.core import Worms
 from lattice_gym.envs.observation import Observation
@@ -52,7 +53,8 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
 
     ## Action space
 
-    `Box(0, 1, (n_action,), float32)`: one command per control group, by default one per muscle.
+    `Box(0, 1, (n_action,), float32)`: one command per control group, by default one per muscle. `action_range=(-1, 1)`
+    makes it `Box(-1, 1)`, whose -1 is the command 0; see there when to use it.
 
     | `control` | groups | n_action for "all" muscles of the default design |
     |---|---|---|
@@ -61,13 +63,14 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     | "column" | azimuth of the muscle's middle and orientation | 24 |
     | sequence of n_muscle whole numbers | any partition: the group of each muscle | number of groups |
 
-    Numbers outside [0, 1] are clipped and counted in `info["clipped_actions"]`. NaN, another shape or what is no real
-    number is a ValueError.
+    Numbers outside the range are clipped and counted in `info["clipped_actions"]`. NaN, another shape or what is no
+    real number is a ValueError. All else that is told is in commands from 0 to 1, whatever the range of actions: gaits,
+    the observed "previous_action" and `worms.previous_action`; `action_of` gives the action of a command.
 
-    An action is the command u of first-order activation dynamics, da/dt = (u - a) / tau with the design's rise time
-    where u > a and else its decay time, solved exactly over the control step; `activation` has other laws. Within the
-    step both engines take the tension as linear in time, from max_tension times the activation at its start to that at
-    its end. With `hill` the muscle's length and speed then multiply it, in every element and physics step; with
+    An action stands for the command u of first-order activation dynamics, da/dt = (u - a) / tau with the design's rise
+    time where u > a and else its decay time, solved exactly over the control step; `activation` has other laws. Within
+    the step both engines take the tension as linear in time, from max_tension times the activation at its start to that
+    at its end. With `hill` the muscle's length and speed then multiply it, in every element and physics step; with
     `adaptation` its strength does.
 
     ## Observation space
@@ -90,7 +93,7 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     | "body_frame" | top: centre less the base's, normal, velocity | 9 | body lengths, 1, body lengths / s | 20, 1, 20 |
     | | of a free base, before it: centre less that at the start, normal, velocity | 9 | the same | the same |
     | "ground_contact" | 1 for a site that touches the ground, else 0; needs one | n_site | 1 | 0 to 1 |
-    | "previous_action" | as clipped, 0 at the start | n_action | 1 | 0 to 1 |
+    | "previous_action" | the command of each group, as clipped, 0 at the start | n_action | 1 | 0 to 1 |
     | "module:Class" | an `ObservationTerm` of your own; the class itself is taken too | its own | its own | its own |
 
     Points are the sites (each the mean of its two nodes) or the nodes, without those that the base holds in place: 48
@@ -159,8 +162,8 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     faster than 0.0001 body lengths a second, for 30 s at most, in a medium of at most 0.05 N s/m^2, as drag only delays
     it there. What is then faster than 0.001, or has left the body, is a ValueError. In other tasks a worm with weight
     sags from the start, and that counts. Only the command is random, uniform over the ranges below. Numbers given as
-    `command` are held in every episode, those in `reset(options={...})` in that one; the options win. Of a list in
-    place of a number, one is drawn for each episode.
+    `command` are held in every episode, those in `reset(options={...})` in that one; the options win. Of a list or
+    NumPy array in place of a number, one is drawn for each episode.
 
     | task | name | drawn from | may be given |
     |---|---|---|---|
@@ -252,6 +255,12 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         "extension", "compression", "bending", "all", a MuscleLayout or its dict form; None: the task's own.
     control
         How actions drive muscles, see above; "muscle" by default.
+    action_range
+        Least and largest number of an action, which stand for the commands 0 and 1; (0, 1) by default. Take (-1, 1) for
+        a learner whose actions are at first drawn around 0 with a spread of 1 and then clipped, as by PPO, A2C and
+        TRPO of most libraries: on (0, 1) that clips two thirds of the first commands, half of them to 0, on (-1, 1) a
+        third. SAC, TD3 and others that scale their actions to the space need nothing, nor does `sb3.WormVecEnv`, whose
+        actions lie in [-1, 1] anyhow.
     rhythm
         Frequency of the observed clock [Hz], at most half the control rate; None: no clock.
     fidelity
@@ -279,7 +288,7 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     observation
         List of terms, see above; None: the default ones.
     command
-        Commanded numbers, by name, to hold in every episode, or lists to draw one from for each.
+        Commanded numbers, by name, to hold in every episode, or lists or arrays to draw one from for each.
     world
         Medium, ground and ball around the worm and whether it lies: a World, or a dict of what differs from the task's
         own; None: the task's own, nothing at all for most. A part given as a dict changes the task's own part, or where
@@ -344,7 +353,7 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         warn_of_pitfalls(scene, arguments)
         self.worms = Worms(scene, keep_state=True)
         self.metadata = {**METADATA, "render_fps": 1.0 / self.control_dt}
-        self.action_space = spaces.Box(0.0, 1.0, (scene.n_group,), np.float32)
+        self.action_space = scene.action_space
         self.observation_space = self.worms.observer.space
         self._pictures = Pictures(self.worms)
         self._running = False
@@ -388,7 +397,7 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         if not self._running:
             raise gymnasium.error.ResetNeeded("reset() must be called first, and again once an episode has terminated")
         worms = self.worms
-        command, n_clipped = clip_command(action, self.action_space.shape)
+        command, n_clipped = to_command(action, self.action_space.shape, self.scene.action_range)
         result = worms.step(command[None])
         terminated = bool(result.terminated[0])
         self._running = not terminated
@@ -419,31 +428,6 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         seen, n_beyond = self.worms.observe()
         one = {name: part[0] for name, part in seen.items()} if self._goals_apart else seen[0]
         return one, int(n_beyond[0])
-
-
-def clip_command(action: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
-    """Commands from 0 to 1, of the given shape (..., n_action), and how many were clipped, shape (...,).
-
-    Raises
-    ------
-    ValueError
-        NaN, another shape or what is no real number.
-    """
-    try:
-        given = np.asarray(action)
-    except ValueError:
-        raise ValueError(f"action: must be an array of shape {shape}, got {action!r}") from None
-    if given.dtype.kind not in "fiu":
-        raise ValueError(f"action: must hold real numbers, got {given.dtype}")
-    if given.shape != shape:
-        raise ValueError(f"action: shape must be {shape}, got {given.shape}")
-    command = given.astype(np.float64)
-    if given.min() >= 0.0 and given.max() <= 1.0:
-        return command, np.zeros(shape[:-1], dtype=np.int64)
-    if np.isnan(given).any():
-        raise ValueError(f"action: must not be NaN, got NaN in {np.argwhere(np.isnan(given)).tolist()}")
-    command = np.minimum(np.maximum(command, 0.0), 1.0)
-    return command, (command != given).sum(axis=-1)
 
 
 def _first(values: Mapping[str, FloatArray]) -> dict[str, float]:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from lattice_gym.checks import FloatArray, IntArray, invalid_value, subclass
+from lattice_gym.checks import FloatArray, IntArray, invalid_value, is_list, subclass
 from lattice_gym.envs.terms import TERMS, ObservationTerm
 from lattice_gym.tasks.base import COMMAND_BOUND, GoalTask, Task
 
@@ -40,7 +40,7 @@ def resolve_terms(observation: object, scene: Scene) -> tuple[type[ObservationTe
     default = own + [name for name in further if name not in own]
     if observation is None:
         observation = default
-    if not isinstance(observation, list | tuple) or len(observation) == 0:
+    if not is_list(observation) or len(observation) == 0:
         first = [observation] if isinstance(observation, str) and observation in TERMS else default[:1]
         example = str([*first, *default[1:]]).replace("'", '"')
         raise invalid_value("observation", observation, f"must be a list of terms; write {example}")

@@ -7,11 +7,15 @@ from functools import wraps
 from inspect import Parameter, Signature, signature
 from typing import Any, TypeVar, cast, get_args
 
+import numpy as np
+from gymnasium import spaces
+
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import MuscleLayout, control_groups, resolve_layout
-from lattice_gym.checks import IntArray, Parameters, choice, flag, instance, invalid_value, number, optional
+from lattice_gym.checks import FloatArray, IntArray, Parameters, choice, flag, instance, invalid_value, number, optional
 from lattice_gym.engines.registry import ENGINES, EngineName
+from lattice_gym.envs.actions import COMMAND_RANGE, resolve_action_range
 from lattice_gym.envs.fidelity import FidelityName, named_fidelity
 from lattice_gym.envs.observation import TermLike, resolve_terms
 from lattice_gym.envs.randomisation import Randomisation
@@ -55,7 +59,11 @@ class Scene:
     groups : array
         Control group of every active muscle, shape (n_muscle,).
     n_group : int
-        Number of control groups, that is of actions.
+        Number of control groups, that is of numbers in an action.
+    action_range : tuple of float
+        Least and largest number of an action, which stand for the commands 0 and 1.
+    action_space : Box
+        Of one worm's actions.
     control_dt, dt : float
         Time between actions and time step of the physics [s].
     n_substeps : int
@@ -82,6 +90,7 @@ class Scene:
         design: LatticeDesign | Mapping[str, Any] | None = None,
         muscles: str | MuscleLayout | Mapping[str, Any] | None = None,
         control: str | Sequence[int] | IntArray = "muscle",
+        action_range: Sequence[float] | FloatArray = COMMAND_RANGE,
         rhythm: float | None = None,
         fidelity: FidelityName = "default",
         splitting: Splitting | None = None,
@@ -114,6 +123,8 @@ class Scene:
         self.layout = self._own_muscles() if muscles is None else resolve_layout(muscles, self.lattice)
         self.groups = control_groups(control, self.layout, self.lattice)
         self.n_group = int(self.groups.max()) + 1
+        self.action_range = resolve_action_range(action_range)
+        self.action_space = spaces.Box(*self.action_range, (self.n_group,), np.float32)
         self.world = resolve_world(world, self.task.world, self.lattice)
         if self.world.lying and self.design.base == "clamped":
             raise ValueError("world: a worm that lies needs a free base (design.base); on a clamped one it stands")

@@ -299,7 +299,7 @@ class GroundContact(ObservationTerm):
 
 @final
 class PreviousAction(ObservationTerm):
-    """Last action as clipped, 0 at the start."""
+    """Last command of each control group, as clipped, 0 at the start; from 0 to 1 whatever the range of actions."""
 
     name = "previous_action"
     stays_within = True

@@ -9,21 +9,24 @@ from typing import Any, ClassVar, NoReturn, SupportsIndex
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from lattice_gym.checks import FloatArray, IntArray, choice, invalid_value, items, optional, whole
+from lattice_gym.checks import FloatArray, IntArray, choice, invalid_value, is_list, items, optional, whole
+from lattice_gym.envs.actions import to_command
 from lattice_gym.envs.attributes import SceneAttributes
 from lattice_gym.envs.core import OK, Mask, Worms
-from lattice_gym.envs.env import METADATA, clip_command
+from lattice_gym.envs.env import METADATA
 from lattice_gym.envs.observation import Observation
 from lattice_gym.envs.pictures import RENDER_MODES, Pictures
 from lattice_gym.envs.pitfalls import warn_of_pitfalls
 from lattice_gym.envs.registration import warn_of_time_limit
 from lattice_gym.envs.scene import Scene, takes_scene_arguments
+
+NO_LIMIT = -1
+"""What gymnasium calls an episode without a time limit."""
 
 
 class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[Any]]):
@@ -38,16 +41,17 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
     worm whose physics diverges ends alone; no other changes by it. `render` gives a tuple of pictures, one a worm. It
     can be neither pickled nor copied.
 
-    Commanded numbers in options are for all worms, a list is one to draw from for each, and an array of shape
-    (num_envs,) holds one for each.
+    Commanded numbers in options are for all worms, a list is one to draw from for each, and a NumPy array, of shape
+    (num_envs,), holds one for each.
 
     Parameters
     ----------
     num_envs
         Number of worms.
     max_episode_steps
-        Steps after which an episode is truncated; None: never. `gymnasium.make_vec` gives that of the id. It is the
-        `time_limit` too, unless that is given; a single environment must be given it to have the same penalty.
+        Steps after which an episode is truncated; None and -1, as in `gymnasium.make`: never. Where it is not given,
+        `gymnasium.make_vec` gives that of the id. It is the `time_limit` too, unless that is given; a single
+        environment must be given it to have the same penalty.
     autoreset_mode
         `gymnasium.vector.AutoresetMode` or its value: when a worm whose episode has ended is reset, at the next step
         (whose action it ignores), at once, or only by `reset`. Of both only the value can be written as JSON.
@@ -80,7 +84,8 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         **arguments: Any,
     ) -> None:
         self.num_envs = whole("num_envs", num_envs, 1)
-        self._limit = optional(whole, "max_episode_steps", max_episode_steps, 1)
+        unlimited = isinstance(max_episode_steps, int | np.integer) and max_episode_steps == NO_LIMIT
+        self._limit = None if unlimited else optional(whole, "max_episode_steps", max_episode_steps, 1)
         try:
             self._mode = AutoresetMode(autoreset_mode)
         except ValueError:
@@ -93,7 +98,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         warn_of_pitfalls(self.scene, arguments)
         self.worms = Worms(self.scene, self.num_envs, num_threads=num_threads)
         self.metadata = {**METADATA, "render_fps": 1.0 / self.scene.control_dt, "autoreset_mode": self._mode}
-        self.single_action_space = spaces.Box(0.0, 1.0, (self.scene.n_group,), np.float32)
+        self.single_action_space = self.scene.action_space
         self.single_observation_space = self.worms.observer.space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -154,7 +159,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         """Advance every worm by `control_dt`, but for those that are reset instead."""
         if self._observation is None:
             raise gymnasium.error.ResetNeeded("reset() must be called first")
-        command, n_clipped = clip_command(actions, (self.num_envs, self.scene.n_group))
+        command, n_clipped = to_command(actions, (self.num_envs, self.scene.n_group), self.scene.action_range)
         if self._mode is AutoresetMode.DISABLED and self._ended.any():
             worms = _worms(self._ended)
             raise gymnasium.error.ResetNeeded(f"worms {worms} have ended and must be reset first")
@@ -251,7 +256,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
 
     def _seeds(self, seed: object) -> list[int | None]:
         """Seed of every worm."""
-        if isinstance(seed, list | tuple) or (isinstance(seed, np.ndarray) and seed.ndim > 0):
+        if is_list(seed):
             one_each = partial(optional, partial(whole, low=0))
             return list(items("seed", seed, one_each, self.num_envs, "seeds, one a worm"))
         first = optional(whole, "seed", seed, 0)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
-import zipfile
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +15,7 @@ from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import MuscleLayout, resolve_layout
 from lattice_gym.checks import FloatArray, array, instance, invalid_value, items, number, require
 from lattice_gym.physics.world import World
-from lattice_gym.recording.files import replacing
+from lattice_gym.recording.archive import read_members, unpack, unpack_meta, write_archive
 
 FORMAT = "lattice_gym trajectory"
 VERSION, OLD_NAME_VERSION, UNMARKED_VERSION = 4, 3, 2
@@ -131,22 +128,14 @@ class Trajectory:
             "layout": json.dumps(self.layout.to_dict()),
             "world": json.dumps(self.world.to_dict()),
         }
-        arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in ARRAYS}
-        with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, meta=np.array(json.dumps(meta)), **arrays)
+        write_archive(path, meta, {name: getattr(self, name) for name in ARRAYS})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
         """Read a saved trajectory; a file that is damaged, foreign or at odds with itself is a ValueError naming it."""
-        content = Path(path).read_bytes()
+        members = read_members(path)
         try:
-            # Members are unpacked whole, so that their checksums are compared before a byte of them is interpreted.
-            with zipfile.ZipFile(io.BytesIO(content)) as archive:
-                packed = {name: archive.read(name) for name in archive.namelist()}
-        except Exception as error:  # Damage surfaces as any of a dozen exceptions of zipfile and its decompressors.
-            raise ValueError(f"{path}: damaged, or not an .npz file: {error}") from error
-        try:
-            return cls(**_unpacked(packed))
+            return cls(**_arguments(members))
         except Exception as error:  # numpy's reader of array headers lets through what Python's own parsers raise.
             raise ValueError(f"{path}: not a sound {FORMAT}: {error}") from error
 
@@ -218,35 +207,23 @@ def _text(name: str, value: object) -> str:
     raise invalid_value(name, value, "must be text")
 
 
-def _unpacked(packed: dict[str, bytes]) -> dict[str, Any]:
+def _arguments(members: dict[str, bytes]) -> dict[str, Any]:
     """Arguments of Trajectory from the members of its file."""
-    version, known = VERSION, ["meta", *ARRAYS]
-    if "bolus.npy" in packed:
+    version, known = VERSION, list(ARRAYS)
+    if "bolus.npy" in members:
         version = OLD_NAME_VERSION
-        packed = {name.replace("bolus", "ball"): content for name, content in packed.items()}
-    if "markers.npy" not in packed:
+        members = {name.replace("bolus", "ball"): content for name, content in members.items()}
+    if "markers.npy" not in members:
         version = UNMARKED_VERSION
         known.remove("markers")
-    expected = {f"{name}.npy" for name in known}
-    if set(packed) != expected:
-        raise ValueError(f"it holds {', '.join(sorted(packed)) or 'nothing'}; must hold {', '.join(sorted(expected))}")
-    members = {name: np.lib.format.read_array(io.BytesIO(packed[f"{name}.npy"]), allow_pickle=False) for name in known}
-    for name in known[1:]:
-        if members[name].dtype.kind != "f":
-            raise ValueError(f"{name} holds {members[name].dtype}: must hold floating-point numbers")
-    text = members.pop("meta")
-    if text.shape != () or text.dtype.kind != "U":
-        raise ValueError(f"meta is an array of {text.dtype} with shape {text.shape}: must be one text")
-    meta = json.loads(text.item())
-    if not isinstance(meta, dict) or set(meta) != set(META):
-        raise ValueError(f"meta must be a mapping of {', '.join(META)}")
+    arrays, meta = unpack(members, known), unpack_meta(members, META)
     if meta["format"] != FORMAT or meta["version"] != version:
         raise ValueError(f"it is {meta['format']!r} version {meta['version']!r}; must be version {version}")
     if not isinstance(meta["outcome"], list) or not all(isinstance(meta[name], str) for name in ("layout", "world")):
         raise ValueError("meta: outcome must be a list, layout and world JSON text")
     world = json.loads(meta["world"])
     return {
-        **members,
+        **arrays,
         "task": meta["task"],
         "outcome": tuple(meta["outcome"]),
         "design": LatticeDesign.from_json(meta["design"]),

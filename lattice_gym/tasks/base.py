@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from lattice_gym.body.lattice import Lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout
-from lattice_gym.checks import FloatArray, IntArray, invalid_value, items, names, number, optional, whole
+from lattice_gym.checks import FloatArray, IntArray, invalid_value, is_list, items, names, number, optional, whole
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws.elasticity import MAX_DILATATION
 from lattice_gym.physics.measures import base_frame
@@ -41,7 +41,7 @@ BOUND_TOLERANCE = 1e-9
 """Relative tolerance on the bounds of commanded numbers, for bounds that were computed and so rounded."""
 COMMAND_BOUND = 10.0
 """Bound of what a task adds to the observation."""
-CommandValues = Mapping[str, float | Sequence[float]]
+CommandValues = Mapping[str, float | Sequence[float] | FloatArray | IntArray]
 """Commanded numbers by name, or lists to draw one from."""
 MAX_STRAIN = MAX_DILATATION + 1.0
 """Bound of the displacement of any point of a clamped body from rest [body lengths]: rods over-stretch sooner."""
@@ -59,12 +59,12 @@ class Command(NamedTuple):
     maximum: float
     """What may be given lies in [minimum, maximum], to rounding."""
     unit: str
-    choices: tuple[float, ...] = ()
+    choices: Sequence[float] = ()
     """Where there are any, only these may be drawn or given."""
 
     def check(self, name: str, value: object) -> float:
         """Take a number that may be given; anything else is a ValueError of that name."""
-        if self.choices and not (isinstance(value, Real) and value in self.choices):
+        if len(self.choices) and not (isinstance(value, Real) and value in self.choices):
             raise invalid_value(name, value, f"must be {' or '.join(f'{few:g}' for few in self.choices)}")
         tolerance = BOUND_TOLERANCE
         least, most = self.minimum - tolerance * abs(self.minimum), self.maximum + tolerance * abs(self.maximum)
@@ -162,7 +162,7 @@ class Task(ABC):
             self.model = model
         self.prepare()
         self.commands = self.command_ranges()
-        self.choices = {name: bounds.choices for name, bounds in self.commands.items() if bounds.choices}
+        self.choices = {name: tuple(bounds.choices) for name, bounds in self.commands.items() if len(bounds.choices)}
         self.choices |= self._check_numbers("command", command)
         """Numbers that are drawn from a few, or held: those few, by name."""
         self.commanded = {
@@ -373,8 +373,7 @@ class Task(ABC):
         given = {} if values is None else names(argument, values, self.commands, "numbers, or lists of them")
         for name, value in given.items():
             label, bounds = f"{argument}[{name!r}]", self.commands[name]
-            several = isinstance(value, list | tuple)
-            checked[name] = items(label, value, bounds.check) if several else (bounds.check(label, value),)
+            checked[name] = items(label, value, bounds.check) if is_list(value) else (bounds.check(label, value),)
             if not checked[name]:
                 raise invalid_value(label, value, "must hold at least one number to draw from")
         drawn = {name: (bounds.low, bounds.high) for name, bounds in self.commands.items()}

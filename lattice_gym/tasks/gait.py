@@ -59,9 +59,10 @@ class Gait(Parameters):
 
 
 def group_means(command: FloatArray, groups: IntArray) -> FloatArray:
-    """Turn commands of muscles into the action of an environment that drives groups: their means, shape (n_group,).
+    """Turn commands of muscles into those of control groups: their means, shape (n_group,).
 
-    `command` and `groups` have shape (n_muscle,), the latter as in `env.unwrapped.groups`.
+    `command` and `groups` have shape (n_muscle,), the latter as in `env.unwrapped.groups`. With the default
+    `action_range` that is the action; `env.unwrapped.action_of` gives the action of any other.
     """
     if np.shape(command) != np.shape(groups) or np.ndim(groups) != 1:
         raise ValueError(f"command has shape {np.shape(command)}: must be one a muscle, {np.shape(groups)}")

@@ -107,11 +107,6 @@ def design_for(task: str | type[Task], **changes: Any) -> LatticeDesign:
     return design
 
 
-def has_gait(task: type[Task]) -> bool:
-    """Tell whether a task makes a gait of its own."""
-    return getattr(task.gait, "__func__", task.gait) is not getattr(Task.gait, "__func__", None)
-
-
 def gait(task: str | type[Task], lattice: Lattice, layout: MuscleLayout, command: Mapping[str, float]) -> Gait:
     """Return the open-loop gait of a task, given what it commands; muscles of no use to it rest.
 
