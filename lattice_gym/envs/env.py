@@ -405,7 +405,10 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         return observation, float(result.reward[0]), terminated, False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """Picture of the worm now and of the place it is to reach, shape (480, 640, 3); None without a render mode."""
+        """Picture of the worm now and of the place it is to reach, shape (480, 640, 3); None without a render mode.
+
+        Any thread may ask. A fork of a process that has drawn gets a RuntimeError; one started by spawn gets a picture.
+        """
         return None if self.render_mode is None else self._pictures.draw()
 
     def close(self) -> None:

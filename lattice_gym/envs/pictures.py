@@ -16,7 +16,7 @@ RENDER_MODES = ("rgb_array",)
 
 
 class Pictures:
-    """Draws any of some worms."""
+    """Draws any of some worms, for any thread."""
 
     def __init__(self, worms: Worms) -> None:
         self._worms = worms

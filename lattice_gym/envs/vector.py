@@ -205,7 +205,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         return self.worms.outcome()
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
-        """Pictures of the worms now, shape (480, 640, 3) each; None without a render mode."""
+        """Pictures of the worms now, shape (480, 640, 3) each, as of `LatticeWormEnv.render`; None without a mode."""
         return None if self.render_mode is None else tuple(map(self._pictures.draw, range(self.num_envs)))
 
     def close_extras(self, **_: Any) -> None:
