@@ -377,6 +377,7 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         """Start an episode at rest; options hold commanded numbers, by name, for this episode."""
         seed = optional(whole, "seed", seed, 0)
         self.worms.task.check(options)  # Before the generator is seeded: a refused reset changes nothing.
+        self.worms.engine.require_idle()
         super().reset(seed=seed)
         warn_of_time_limit(self.spec, self.scene.task, int(self.worms.n_step[0]))
         info = self.worms.begin(0, self.np_random, options)

@@ -140,6 +140,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
             raise gymnasium.error.ResetNeeded("reset() must be called without a reset_mask first")
         for worm in _worms(mask):
             self.worms.task.check(given[worm])
+        self.worms.engine.require_idle()
         infos: dict[str, Any] = {}
         for worm in _worms(mask):
             if seeds[worm] is not None:
