@@ -183,10 +183,10 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     `terminated` in transport where the ball has left the body, and else only where the physics diverges: a state that
     is not finite, an element inverted or over-stretched, a joint torn or, where asked for, spurious energy
     (`energy_check`) or too long a step (`step_check`); see `engines.Status`. Then `info["status"]` names what and
-    where, by rod and element, and the observation is the last sound one, again; `time` is that of the control step that
-    failed. The penalty exceeds what lies between the best and the worst episode of at most `time_limit` steps, so none
-    of these that ends well is worth less; a longer one warns where it may be. The environment never truncates itself:
-    the time limit is registered.
+    where, by muscle or rod and level, and the observation is the last sound one, again; `time` is that of the control
+    step that failed. The penalty exceeds what lies between the best and the worst episode of at most `time_limit`
+    steps, so none of these that ends well is worth less; a longer one warns where it may be. The environment never
+    truncates itself: the time limit is registered.
 
     ## Info
 

@@ -16,6 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from lattice_gym.checks import FloatArray, IntArray, choice, invalid_value, items, optional, whole
+from lattice_gym.engines.health import describe
 from lattice_gym.envs.attributes import SceneAttributes
 from lattice_gym.envs.core import OK, Mask, Worms
 from lattice_gym.envs.env import METADATA, clip_command
@@ -226,7 +227,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         """How the step went for every worm."""
         status = np.full(self.num_envs, OK, dtype=object)
         for worm in _worms(self.worms.failed):
-            status[worm] = self.worms.status(worm)
+            status[worm] = describe(self.worms.health(worm), self.scene.lattice, self.scene.layout)
         return status
 
     def _outcome_of(self, worms: IntArray) -> dict[str, FloatArray]:

@@ -120,7 +120,8 @@ def in_lines(text: str, width: int) -> str:
         inside = bracket.group()
         return inside.replace(" ", NO_BREAK) if len(inside) <= width else inside
 
-    return textwrap.fill(re.sub(r"\([^()]*\)|\[[^][]*\]", unbroken, text), width).replace(NO_BREAK, " ")
+    whole = re.sub(r"\([^()]*\)|\[[^][]*\]", unbroken, text)
+    return textwrap.fill(whole, width, break_on_hyphens=False).replace(NO_BREAK, " ")
 
 
 class _Scene:
