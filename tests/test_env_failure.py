@@ -66,7 +66,9 @@ def test_divergence_ends_the_episode_and_never_pays(task: str, engine_name: Engi
         if terminated:
             break
     assert terminated
-    assert re.fullmatch(r"(non_finite|overstretched|inverted) \(rod \d+, element \d+\)", info["status"])
+    assert re.fullmatch(
+        r"(not finite|overstretched|inverted): (muscle|structure rod) \d+ .*element \d+ .*", info["status"]
+    )
     assert tuple(info["reward_terms"]) == (*env.task.weights, "divergence")
     assert reward == info["reward_terms"]["divergence"] == -MIN_PENALTY
     np.testing.assert_array_equal(observation, before)
@@ -94,7 +96,8 @@ def test_any_engine_failure_is_survived(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(engine, "health", lambda worm=0: Health(Status.INVERTED, 4, 2))
     _, _, terminated, _, info = env.step(np.zeros(N_SMALL))
     assert terminated
-    assert info["status"] == "inverted (rod 4, element 2)"
+    where = "structure rod 4 (left-handed), element 2 of 8, between levels 1 and 2"
+    assert info["status"] == f"inverted: {where}"
     assert pickle.dumps(env.state) == state == pickle.dumps(engine.state(0))
     assert env.task.caption(env.state) == ""
 
@@ -116,7 +119,7 @@ def test_a_run_astray_ends_the_episode() -> None:
     assert same(first[:-1], plain_first[:-1])
     assert [step[2] for step in first[1:]] == [False] * 4 + [True]
     assert not plain_first[-1][2]
-    assert re.fullmatch(r"inaccurate \(rod \d+, element \d+\)", first[-1][4]["status"])
+    assert re.fullmatch(r"inaccurate, as .* too long: (muscle|structure rod) \d+ .*", first[-1][4]["status"])
     assert first[-1][4]["reward_terms"]["divergence"] == -MIN_PENALTY
     np.testing.assert_array_equal(first[-1][0], first[-2][0])
     with pytest.raises(gymnasium.error.ResetNeeded):

@@ -70,8 +70,9 @@ def test_diverged_episode_is_recorded_to_its_end(tmp_path: Path) -> None:
     trajectory = record(run, "gait", seed=2)
     assert trajectory.n_frame < 41
     assert trajectory.reward[-1] < -100.0
-    assert re.fullmatch(r"return -\d+\.\d\d   strain \S+ %   \w+ \(rod \d+, element \d+\)", trajectory.outcome[-1])
-    assert all("rod" not in line for line in trajectory.outcome[:-1])
+    line = r"return -\d+\.\d\d   strain \S+ %   \w+: muscle \d+ \(horizontal, level \d at .*, element \d of 2"
+    assert re.fullmatch(line, trajectory.outcome[-1])
+    assert all("muscle" not in line for line in trajectory.outcome[:-1])
 
 
 def test_rollout_artefacts_open(copy: Path) -> None:

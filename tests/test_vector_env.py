@@ -187,7 +187,7 @@ def test_a_worm_that_diverges_ends_alone(task: str, mode: AutoresetMode) -> None
     told = [info.get("final_info", info) for info in infos]
     status = [str(info["status"][1]) for info in told]
     failed = next(k for k, line in enumerate(status) if line != "ok")
-    assert re.fullmatch(r"(non_finite|overstretched|inverted) \(rod \d+, element \d+\)", status[failed])
+    assert re.fullmatch(r"(not finite|overstretched|inverted): (muscle|structure rod) \d+ .*", status[failed])
     assert told[failed]["reward_terms"]["divergence"][1] == -MIN_PENALTY
     if mode is AutoresetMode.NEXT_STEP:
         native.reset(seed=1)

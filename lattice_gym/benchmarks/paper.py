@@ -16,6 +16,7 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
+from lattice_gym.engines.health import describe
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
@@ -90,7 +91,8 @@ def _measure(motion: Motion, lattice: Lattice, position: FloatArray) -> float:
 def run_motion(motion: Motion, tension: float, engine_name: EngineName) -> tuple[Outcome, Lattice, RodModel, RodState]:
     """Hold `tension` [N] in every muscle of the motion's layout for the paper's time at the paper's step."""
     lattice = build_lattice(LatticeDesign())
-    model = build_model(lattice, named_layout(motion.name, lattice))
+    layout = named_layout(motion.name, lattice)
+    model = build_model(lattice, layout)
     engine = simulate(engine_name, model, motion.dt)
     start = time.perf_counter()
     health = engine.advance(np.full(model.n_muscle, tension), round(motion.simulated / motion.dt))
@@ -105,7 +107,7 @@ def run_motion(motion: Motion, tension: float, engine_name: EngineName) -> tuple
         run_time=run_time,
         simulated=motion.simulated,
         dt=motion.dt,
-        status=str(health),
+        status=describe(health, lattice, layout),
         joint_gap=float(joint_gap(model, state.position)),
         least_dilatation=float(dilatation(model, state.position).min()),
         straightness=float(straightness(lattice, model, state.position)),

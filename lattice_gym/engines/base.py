@@ -10,6 +10,7 @@ spot; rods of a lattice do not roll.
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import get_args
@@ -75,6 +76,9 @@ class Engine(ABC):
     ValueError
         No model, one of another shape, a step that is not positive and finite, a splitting that the engine lacks, a
         check that is not a bool, `num_threads` that is no whole number above 0.
+    RuntimeError
+        A call while another thread advances the worms: any number of engines may be used side by side, but each by one
+        thread at a time. So it is in the fork of a process in which another thread did.
     """
 
     def __init__(
@@ -98,6 +102,7 @@ class Engine(ABC):
         self.ball_position, self.ball_velocity = np.zeros((2, self.n_worm, model.n_ball, 3))
         for worm, model in enumerate(self.models):
             self._show(worm, model.rest_state())
+        self._busy = threading.Lock()
         self._failures: dict[int, Health] = {}
         self._audits = [EnergyAudit(model) for model in self.models] if energy_check else []
         self._comparisons = [StepDoubling(model) for model in self.models] if step_check else []
@@ -125,11 +130,16 @@ class Engine(ABC):
         """
         start, end = tension_ramp(tension, (self.n_worm, self.models[0].n_muscle))
         count = whole("n_substeps", n_substeps, 1, MAX_STEPS)
-        if self._audits or self._half_step is not None:
-            return self._advance_checked(start, end, count)
-        codes = np.array(self._advance(start, end, count), np.int64)
-        self._failures = {worm: self._health(worm) for worm in np.flatnonzero(codes).tolist()}
-        return codes
+        if not self._busy.acquire(blocking=False):
+            raise _in_use()
+        try:
+            if self._audits or self._half_step is not None:
+                return self._advance_checked(start, end, count)
+            codes = np.array(self._advance(start, end, count), np.int64)
+            self._failures = {worm: self._health(worm) for worm in np.flatnonzero(codes).tolist()}
+            return codes
+        finally:
+            self._busy.release()
 
     def _advance_checked(self, start: FloatArray, end: FloatArray, n_substeps: int) -> IntArray:
         """Advance with the checks that are on; a worm that fails one keeps showing its state before the call."""
@@ -164,12 +174,18 @@ class Engine(ABC):
             health = compared if health.ok else health
         return health
 
+    def require_idle(self) -> None:
+        """Raise a RuntimeError while a thread advances the worms: what they show is then neither before nor after."""
+        if self._busy.locked():
+            raise _in_use()
+
     def health(self, worm: int = 0) -> Health:
         """How a worm ended the last call to `advance`, and where it failed."""
         return self._failures.get(self._row(worm), Health())
 
     def state(self, worm: int = 0) -> RodState:
         """Copy the state of a worm, sound or not."""
+        self.require_idle()
         return self._state(self._row(worm))
 
     def restore(self, worm: int, state: RodState) -> None:
@@ -180,6 +196,7 @@ class Engine(ABC):
         ValueError
             The state does not fit the model, is not finite, or has moved a clamped node.
         """
+        self.require_idle()
         worm = self._row(worm)
         state.check(self.models[worm])
         self._restore(worm, state)
@@ -196,6 +213,7 @@ class Engine(ABC):
         ValueError
             The model is of another shape.
         """
+        self.require_idle()
         worm = self._row(worm)
         if (differs := difference_in_shape(self.models[worm], model)) is not None:
             raise ValueError(f"model: must have the shape of the one before, but differs in {differs}")
@@ -270,3 +288,10 @@ class Engine(ABC):
     @abstractmethod
     def _flow(self, worm: int) -> Flow:
         """Energy that entered a worm and left it in the last `_advance`; asked for only with the energy check."""
+
+
+def _in_use() -> RuntimeError:
+    return RuntimeError(
+        "engine: another thread is advancing these worms, or was when this process was forked; let one thread at a "
+        "time use an environment, or give each its own, and in the fork make one anew"
+    )

@@ -7,8 +7,11 @@ from enum import IntEnum
 
 import numpy as np
 
+from lattice_gym.body.lattice import Lattice
+from lattice_gym.body.muscles import MuscleLayout
 from lattice_gym.checks import FloatArray
 from lattice_gym.physics.assembly import RodModel
+from lattice_gym.physics.part_names import describe_part
 
 
 class Status(IntEnum):
@@ -34,7 +37,8 @@ class Status(IntEnum):
 class Health:
     """Status, and where it shows: rod and element, and the joint where one is torn (-1 where there is none).
 
-    A failure without a rod is the ball's.
+    Lines count on from the rods, so that a muscle has the same number as a line, and are one element. A failure without
+    a rod is the ball's. As text it has these numbers; `describe` names the parts of a worm.
     """
 
     status: Status = Status.OK
@@ -54,6 +58,25 @@ class Health:
             return f"{self.status.name.lower()} (ball)"
         joint = f", joint {self.joint}" if self.joint >= 0 else ""
         return f"{self.status.name.lower()} (rod {self.rod}, element {self.element}{joint})"
+
+
+def describe(health: Health, lattice: Lattice, layout: MuscleLayout, worm: int | None = None) -> str:
+    """Say what failed of a worm and where, or "ok"; the number of the worm, if given, comes first."""
+    if health.ok:
+        return "ok"
+    part = describe_part(lattice, layout, rod=health.rod, element=health.element, joint=health.joint)
+    text = _SENTENCES[health.status].format(part)
+    return text if worm is None else f"worm {worm}: {text}"
+
+
+_SENTENCES = {
+    Status.NON_FINITE: "not finite: {}",
+    Status.OVERSTRETCHED: "overstretched: {}",
+    Status.INVERTED: "inverted: {}",
+    Status.TORN: "torn: {}",
+    Status.ENERGY: "spurious energy, most of it in {}",
+    Status.INACCURATE: "inaccurate, as the time step is too long: {}",
+}
 
 
 def joint_gap_limits(model: RodModel) -> FloatArray:
@@ -77,9 +100,8 @@ def torn_joint(model: RodModel, joint: int) -> Health:
 
 
 def overstretched_line(model: RodModel, line: int) -> Health:
-    """Health that names the rod and element at the first end of an over-stretched line."""
-    tie = model.lines[line]
-    return Health(Status.OVERSTRETCHED, tie.rod_a, element_at(model, tie.rod_a, tie.node_a))
+    """Health that names an over-stretched line."""
+    return Health(Status.OVERSTRETCHED, model.n_rod + line, 0)
 
 
 def element_at(model: RodModel, rod: int, node: int) -> int:

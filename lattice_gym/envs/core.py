@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lattice_gym.checks import FloatArray, IntArray, array, names
-from lattice_gym.engines.health import Health
+from lattice_gym.engines.health import Health, describe
 from lattice_gym.engines.registry import make_engine
 from lattice_gym.envs.measures import Measures
 from lattice_gym.envs.observation import Observation, Observer
@@ -161,9 +161,14 @@ class Worms:
         if self._saved_states is not None:
             self._saved_states[worm] = state.copy()
 
+    def health(self, worm: int = 0) -> Health:
+        """How the last step of a worm went, and where it failed."""
+        return self.engine.health(worm) if self._failed[worm] else Health()
+
     def status(self, worm: int = 0) -> str:
-        """Return "ok", or what went wrong in the last step of a worm and where."""
-        return str(self.engine.health(worm)) if self._failed[worm] else OK
+        """Return "ok", or what went wrong in the last step of a worm and where; of several, with the worm's number."""
+        scene = self.scene
+        return describe(self.health(worm), scene.lattice, scene.layout, worm if self.n_worm > 1 else None)
 
     def outcome(self, worms: IntArray | None = None) -> dict[str, FloatArray]:
         """Return what the motion of some worms, by default of all, came to by now, shape (n,) each."""

@@ -186,10 +186,10 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     `terminated` in transport where the ball has left the body, and else only where the physics diverges: a state that
     is not finite, an element inverted or over-stretched, a joint torn or, where asked for, spurious energy
     (`energy_check`) or too long a step (`step_check`); see `engines.Status`. Then `info["status"]` names what and
-    where, by rod and element, and the observation is the last sound one, again; `time` is that of the control step that
-    failed. The penalty exceeds what lies between the best and the worst episode of at most `time_limit` steps, so none
-    of these that ends well is worth less; a longer one warns where it may be. The environment never truncates itself:
-    the time limit is registered.
+    where, by muscle or rod and level, and the observation is the last sound one, again; `time` is that of the control
+    step that failed. The penalty exceeds what lies between the best and the worst episode of at most `time_limit`
+    steps, so none of these that ends well is worth less; a longer one warns where it may be. The environment never
+    truncates itself: the time limit is registered.
 
     ## Info
 
@@ -386,6 +386,7 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         """Start an episode at rest; options hold commanded numbers, by name, for this episode."""
         seed = optional(whole, "seed", seed, 0)
         self.worms.task.check(options)  # Before the generator is seeded: a refused reset changes nothing.
+        self.worms.engine.require_idle()
         super().reset(seed=seed)
         warn_of_time_limit(self.spec, self.scene.task, int(self.worms.n_step[0]))
         info = self.worms.begin(0, self.np_random, options)
@@ -414,7 +415,10 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         return observation, float(result.reward[0]), terminated, False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """Picture of the worm now and of the place it is to reach, shape (480, 640, 3); None without a render mode."""
+        """Picture of the worm now and of the place it is to reach, shape (480, 640, 3); None without a render mode.
+
+        Any thread may ask. A fork of a process that has drawn gets a RuntimeError; one started by spawn gets a picture.
+        """
         return None if self.render_mode is None else self._pictures.draw()
 
     def close(self) -> None:

@@ -16,7 +16,7 @@ RENDER_MODES = ("rgb_array",)
 
 
 class Pictures:
-    """Draws any of some worms."""
+    """Draws any of some worms, for any thread."""
 
     def __init__(self, worms: Worms) -> None:
         self._worms = worms
@@ -25,6 +25,7 @@ class Pictures:
     def draw(self, worm: int = 0) -> npt.NDArray[np.uint8]:
         """Picture of a worm and of what it is to reach, with its time and outcome, shape (480, 640, 3)."""
         worms, scene = self._worms, self._worms.scene
+        worms.engine.require_idle()
         markers = worms.task.markers(worm)
         if self.renderer is None:
             from lattice_gym.rendering.scene import Renderer

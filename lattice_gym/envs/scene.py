@@ -142,7 +142,7 @@ class Scene:
         preferred: Splitting = "pyelastica" if self.engine == "pyelastica" else preset.splitting
         self.splitting: Splitting = optional(choice, "splitting", splitting, get_args(Splitting)) or preferred
         self.n_substeps, self.dt = self._substeps(dt, flag("allow_large_dt", allow_large_dt))
-        self.start = settle(first, self.model)
+        self.start = settle(first, self.model, self.layout)
 
     def make_task(self, n_worm: int) -> Task:
         """Task of so many worms; its `rest` is that of the model until it is given the state that episodes start in."""

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from lattice_gym.body.muscles import MuscleLayout
+from lattice_gym.engines.health import describe
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.critical_step import default_dt
@@ -24,7 +26,7 @@ A crawling worm with the damping of other tasks' worms only gets below the secon
 below the first, and doing nothing then earns less than 0.0001 a step."""
 
 
-def settle(task: Task, model: RodModel) -> RodState:
+def settle(task: Task, model: RodModel, layout: MuscleLayout) -> RodState:
     """State in which an episode starts, at rest: that of the model, or what it settles into where the task asks for it.
 
     Raises
@@ -42,7 +44,9 @@ def settle(task: Task, model: RodModel) -> RodState:
     for _ in range(round(MAX_SETTLING_TIME / SETTLING_INTERVAL)):
         health, before = run.advance(np.zeros(model.n_muscle), round(SETTLING_INTERVAL / step)), now
         if not health.ok:
-            raise ValueError(f"world: worm and ball do not come to rest in it: {health}")
+            raise ValueError(
+                f"world: worm and ball do not come to rest in it: {describe(health, task.lattice, layout)}"
+            )
         now = run.state
         speed = _speed(before, now) / design.height
         start = replace(state, position=now.position, directors=now.directors, ball_position=now.ball_position)

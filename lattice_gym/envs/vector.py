@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from lattice_gym.checks import FloatArray, IntArray, choice, invalid_value, is_list, items, optional, whole
+from lattice_gym.engines.health import describe
 from lattice_gym.envs.actions import to_command
 from lattice_gym.envs.attributes import SceneAttributes
 from lattice_gym.envs.core import OK, Mask, Worms
@@ -145,6 +146,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
             raise gymnasium.error.ResetNeeded("reset() must be called without a reset_mask first")
         for worm in _worms(mask):
             self.worms.task.check(given[worm])
+        self.worms.engine.require_idle()
         infos: dict[str, Any] = {}
         for worm in _worms(mask):
             if seeds[worm] is not None:
@@ -210,7 +212,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         return self.worms.outcome()
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
-        """Pictures of the worms now, shape (480, 640, 3) each; None without a render mode."""
+        """Pictures of the worms now, shape (480, 640, 3) each, as of `LatticeWormEnv.render`; None without a mode."""
         return None if self.render_mode is None else tuple(map(self._pictures.draw, range(self.num_envs)))
 
     def close_extras(self, **_: Any) -> None:
@@ -230,7 +232,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         """How the step went for every worm."""
         status = np.full(self.num_envs, OK, dtype=object)
         for worm in _worms(self.worms.failed):
-            status[worm] = self.worms.status(worm)
+            status[worm] = describe(self.worms.health(worm), self.scene.lattice, self.scene.layout)
         return status
 
     def _outcome_of(self, worms: IntArray) -> dict[str, FloatArray]:

@@ -22,6 +22,7 @@ from lattice_gym.physics.rod import straight_rod
 from lattice_gym.recording.trajectory import ACTIVATION_RANGE
 from lattice_gym.rendering import colours
 from lattice_gym.rendering.colours import activation_colour, rgb
+from lattice_gym.rendering.drawing_thread import Drawn
 from lattice_gym.rendering.extras import extra
 from lattice_gym.rendering.shapes import Balls, Tubes, overwrite
 
@@ -119,40 +120,22 @@ def in_lines(text: str, width: int) -> str:
         inside = bracket.group()
         return inside.replace(" ", NO_BREAK) if len(inside) <= width else inside
 
-    return textwrap.fill(re.sub(r"\([^()]*\)|\[[^][]*\]", unbroken, text), width).replace(NO_BREAK, " ")
+    whole = re.sub(r"\([^()]*\)|\[[^][]*\]", unbroken, text)
+    return textwrap.fill(whole, width, break_on_hyphens=False).replace(NO_BREAK, " ")
 
 
-class Renderer:
-    """A scene that is built once and then moved; close it, or use it in a with statement.
-
-    Parameters
-    ----------
-    lattice, model
-        The worm: its structure rods first, then its muscles.
-    size
-        Width and height of the pictures [pixels].
-    view
-        Points that every picture shows [m], shape (n, 3); by default the worm at rest and 60 % taller, or, if it
-        lies, up to its height further along x either way.
-    n_marker
-        Number of places for the top's centre to go to, which each picture marks with small balls, and itself with a
-        smaller one; nothing hides them.
-    bare
-        The worm fills the picture, with neither colour bar nor text.
-    fine
-        Shade where parts meet, for stills: about 6 times slower.
-    """
+class _Scene:
+    """What a `Renderer` draws, with its arguments; all of it belongs to the thread that draws."""
 
     def __init__(
         self,
         lattice: Lattice,
         model: RodModel,
-        size: tuple[int, int] = (640, 480),
-        *,
-        view: npt.ArrayLike | None = None,
-        n_marker: int = 0,
-        bare: bool = False,
-        fine: bool = False,
+        size: tuple[int, int],
+        view: npt.ArrayLike | None,
+        n_marker: int,
+        bare: bool,
+        fine: bool,
     ) -> None:
         width, height = items("size", size, partial(whole, low=64, high=4096), 2, "pixel counts: width and height")
         if view is None:
@@ -207,18 +190,13 @@ class Renderer:
     def update(
         self,
         position: npt.ArrayLike,
-        activation: npt.ArrayLike | None = None,
-        time: float | None = None,
-        text: str = "",
-        ball: npt.ArrayLike | None = None,
-        markers: npt.ArrayLike | None = None,
+        activation: npt.ArrayLike | None,
+        time: float | None,
+        text: str,
+        ball: npt.ArrayLike | None,
+        markers: npt.ArrayLike | None,
     ) -> RGB:
-        """Picture, shape (height, width, 3).
-
-        Takes node positions (n_node, 3) [m], activations (n_muscle,) from 0 (the default) to 1, a time [s], a line of
-        text to print, the place of the ball (n_ball, 3) [m], by default where it starts, and places to mark
-        (n_marker, 3) [m]. Wrong shapes and numbers that are not finite are a ValueError.
-        """
+        """Picture, as of `Renderer.update`."""
         model = self._model
         x = array("position", position, (model.n_node, 3))
         relaxed = np.zeros(model.n_muscle)
@@ -244,16 +222,8 @@ class Renderer:
         return self._picture()
 
     def close(self) -> None:
-        """Free the scene."""
+        """Free it."""
         self._plotter.close()
-
-    def __enter__(self) -> Self:
-        """Return the renderer."""
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Close the renderer."""
-        self.close()
 
     def _parts(self) -> list[Tubes | Balls]:
         parts = self._rods, self._sites, self._muscles, self._lines, self._ball, self._markers, self._top
@@ -344,11 +314,87 @@ class Renderer:
             picture[rows, round(left * width) : round(right * width)] = shades[:, None]
         return picture
 
-    @property
     def pixels_per_metre(self) -> float:
         """Scale of the picture where the middle of the view stands [1/m]."""
         camera = self._plotter.camera
         return float(self.size[1] / (2.0 * math.tan(0.5 * VIEW_ANGLE) * camera.distance))
+
+
+class Renderer:
+    """A scene that is built once and then moved; close it, or use it in a with statement.
+
+    It may be used by any thread, as all is drawn in one of its own; see `drawing_thread`.
+
+    Parameters
+    ----------
+    lattice, model
+        The worm: its structure rods first, then its muscles.
+    size
+        Width and height of the pictures [pixels].
+    view
+        Points that every picture shows [m], shape (n, 3); by default the worm at rest and 60 % taller, or, if it
+        lies, up to its height further along x either way.
+    n_marker
+        Number of places for the top's centre to go to, which each picture marks with small balls, and itself with a
+        smaller one; nothing hides them.
+    bare
+        The worm fills the picture, with neither colour bar nor text.
+    fine
+        Shade where parts meet, for stills: about 6 times slower.
+
+    Raises
+    ------
+    RuntimeError
+        Nothing here can draw, or this process is a fork of one that has drawn.
+    """
+
+    def __init__(
+        self,
+        lattice: Lattice,
+        model: RodModel,
+        size: tuple[int, int] = (640, 480),
+        *,
+        view: npt.ArrayLike | None = None,
+        n_marker: int = 0,
+        bare: bool = False,
+        fine: bool = False,
+    ) -> None:
+        self._scene = Drawn(partial(_Scene, lattice, model, size, view, n_marker, bare, fine))
+
+    def update(
+        self,
+        position: npt.ArrayLike,
+        activation: npt.ArrayLike | None = None,
+        time: float | None = None,
+        text: str = "",
+        ball: npt.ArrayLike | None = None,
+        markers: npt.ArrayLike | None = None,
+    ) -> RGB:
+        """Picture, shape (height, width, 3).
+
+        Takes node positions (n_node, 3) [m], activations (n_muscle,) from 0 (the default) to 1, a time [s], a line of
+        text to print, the place of the ball (n_ball, 3) [m], by default where it starts, and places to mark
+        (n_marker, 3) [m]. Wrong shapes and numbers that are not finite are a ValueError, a closed renderer and a fork
+        of the process that made it a RuntimeError.
+        """
+        return self._scene.use(lambda scene: scene.update(position, activation, time, text, ball, markers))
+
+    @property
+    def pixels_per_metre(self) -> float:
+        """Scale of the picture where the middle of the view stands [1/m]."""
+        return self._scene.use(_Scene.pixels_per_metre)
+
+    def close(self) -> None:
+        """Free the scene."""
+        self._scene.close()
+
+    def __enter__(self) -> Self:
+        """Return the renderer."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Close the renderer."""
+        self.close()
 
 
 def render_frame(

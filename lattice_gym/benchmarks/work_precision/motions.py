@@ -15,6 +15,7 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import MuscleLayout, named_layout
 from lattice_gym.checks import FloatArray
+from lattice_gym.engines.health import describe
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import RodModel
@@ -141,7 +142,7 @@ def run(scene: Scene, setting: Setting, engine_name: EngineName = "fused") -> Co
     for tension in scene.tensions(lattice, layout):
         health = engine.advance(tension, setting.n_substeps)
         if not health.ok:
-            status = str(health)
+            status = describe(health, lattice, layout)
             break
         positions.append(engine.state.position)
     return Course(

@@ -7,6 +7,7 @@ import os
 from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 
 import numpy as np
 
@@ -87,8 +88,10 @@ class FusedEngine(Engine):
         # This thread works as well: to wake another takes as long as some steps.
         others: list[Future[None]] = []
         try:
-            for _ in range(min(self.num_threads, len(packs)) - 1):
-                others.append(self._threads().submit(work))
+            # Where no thread can be begun, as at the end of Python, the others do it all.
+            with suppress(RuntimeError):
+                for _ in range(min(self.num_threads, len(packs)) - 1):
+                    others.append(self._threads().submit(work))
             work()
             for other in others:
                 other.result()

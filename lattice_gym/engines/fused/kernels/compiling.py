@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import os
+import sys
 from collections.abc import Callable
 from functools import cache
 from importlib import resources
@@ -15,6 +17,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba import njit
+from numba.core.compiler_lock import global_compiler_lock
 
 from lattice_gym.engines.fused.machine_code import MachineCode
 
@@ -78,13 +81,23 @@ def _faster(compile_signature: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """
 
     def compile_in_roomy_frame(signature: Any) -> Any:
-        collecting = gc.isenabled()
-        gc.disable()
-        try:
-            return compile_signature(signature)
-        finally:
-            if collecting:
-                gc.enable()
+        with global_compiler_lock:
+            collecting = gc.isenabled()
+            gc.disable()
+            try:
+                return compile_signature(signature)
+            finally:
+                if collecting:
+                    gc.enable()
 
     compile_in_roomy_frame.__code__ = compile_in_roomy_frame.__code__.replace(co_stacksize=40_000)
     return compile_in_roomy_frame
+
+
+# A fork waits for what another thread compiles: its child has no such thread, and would wait for ever.
+if sys.platform != "win32":
+    os.register_at_fork(
+        before=global_compiler_lock.acquire,
+        after_in_parent=global_compiler_lock.release,
+        after_in_child=global_compiler_lock.release,
+    )
