@@ -101,10 +101,10 @@ def test_momentum(engine_name: EngineName, x: float, y: float, angle: float) -> 
     assert np.abs(momenta(model, engine.state)[1] - before[1]).max() < 1e-9
 
 
-def test_engines_agree_in_contact() -> None:
+def test_engines_agree_in_contact(engine_pair: tuple[EngineName, EngineName]) -> None:
     """To rounding in a step from a squeezed state with contacts, to 1e-9 m over a squeeze."""
     model, dt = worm(Contact(stiffness=200.0), 2.0, n_pairs=3, period_ratio=1.5, elements_per_segment=3)
-    engines = [simulate(name, model, dt) for name in ("fused", "pyelastica")]
+    engines = [simulate(name, model, dt) for name in engine_pair]
     pull, n_steps = np.full(model.n_muscle, 2.0), round(0.2 / dt)
     for engine in engines:
         assert engine.advance(np.stack([0.0 * pull, pull]), n_steps).ok

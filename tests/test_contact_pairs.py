@@ -20,6 +20,7 @@ from lattice_gym.engines.fused.engine import FusedEngine
 from lattice_gym.engines.fused.kernels import contact as kernel
 from lattice_gym.engines.fused.pack import Pack
 from lattice_gym.engines.pyelastica.contact import touchable_pairs
+from lattice_gym.engines.registry import ENGINES
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws import contact
@@ -38,7 +39,7 @@ def test_who_touches() -> None:
     joined = crossing(1e-3, joints=(Joint(0, 0, 1, 0, 1e-9),))
     assert contact.excluded(joined).tolist() == [[1, 4]]
     for model in (near, joined, crossing(1e-3, muscles=(1,))):
-        for name in ("fused", "pyelastica"):
+        for name in ENGINES:
             engine = simulate(name, model, 1e-5)
             start = moved(model, 1, (0.0, 0.0, -0.003))
             engine.restore(start)
