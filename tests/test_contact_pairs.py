@@ -100,7 +100,7 @@ def test_list_is_that_of_brute_force(seed: int, n_rod: int, size: float, far: fl
     joints = [Joint(a, 0, b, 1, 1.0) for a, b in ends]
     muscles = tuple(range(int(rng.integers(0, n_rod + 1))))
     model = scattered(rng, n_rod, size, muscles=muscles, joints=tuple(joints))
-    engine, rod = engine_of(model), contact.rod_of(model)
+    engine, rod = engine_of(model), model.element_rod
     solid = ~np.isin(rod, model.muscles)
     every = np.argwhere(solid[:, None] & solid & (rod[:, None] < rod))
     rest, now = model.rest_state(), model.rest_state().copy()
@@ -119,7 +119,7 @@ def test_list_is_that_of_brute_force(seed: int, n_rod: int, size: float, far: fl
 
 def assert_engines_select_alike(model: RodModel) -> int:
     """Compare the pairs that the reference engine tries with those that the law leaves; return how many it excludes."""
-    rod, excluded = contact.rod_of(model), contact.excluded(model)
+    rod, excluded = model.element_rod, contact.excluded(model)
     solid = ~np.isin(rod, model.muscles)
     every = np.argwhere(solid[:, None] & solid & (rod[:, None] < rod))
     left = every[~np.isin(every @ [model.n_elem, 1], excluded @ [model.n_elem, 1])]
