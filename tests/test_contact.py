@@ -24,6 +24,7 @@ from lattice_gym.physics.laws import contact
 from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.damping import Splitting
 from lattice_gym.physics.laws.loads import PointForce
+from lattice_gym.physics.measures import dilatation
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import World
@@ -71,10 +72,8 @@ def test_a_bounce_from_afar(engine_name: EngineName) -> None:
 def momenta(model: RodModel, state: RodState) -> FloatArray:
     """Momentum and angular momentum about the origin, shape (2, 3)."""
     moving = model.node_mass[:, None] * state.velocity
-    inertia = np.concatenate([rod.inertia[:, None] * [1.0, 1.0, 2.0] for rod in model.rods])
-    side = np.delete(np.diff(state.position, axis=0), model.node_offset[1:-1] - 1, axis=0)
-    dilatation = np.linalg.norm(side, axis=1) / np.concatenate([rod.rest_length for rod in model.rods])
-    spin = np.einsum("nji,nj->i", state.directors, inertia * state.omega / dilatation[:, None])
+    inertia = model.rod_array("inertia") / dilatation(model, state.position)
+    spin = np.einsum("nji,nj->i", state.directors, inertia[:, None] * [1.0, 1.0, 2.0] * state.omega)
     return np.stack([moving.sum(axis=0), np.cross(state.position, moving).sum(axis=0) + spin])
 
 

@@ -113,9 +113,8 @@ class RodModel:
             self.check_node(f"clamps[{k}]", clamp.rod, clamp.node or 0)
             self.check_element(f"clamps[{k}]", clamp.rod, clamp.element or 0)
         with np.errstate(all="ignore"):
-            for law in LAWS:
-                if law.present(self):
-                    law(self).check()
+            for law in self.laws:
+                law.check()
 
     def __repr__(self) -> str:
         counts = f"{self.n_rod} rods, {self.n_node} nodes, {self.n_muscle} muscles, {len(self.joints)} joints"

@@ -51,7 +51,8 @@ class DampingLaw(Law):
     @classmethod
     def present(cls, model: RodModel) -> bool:
         """Anything is damped."""
-        return bool(model.node_damping.any()) or any(rod.rotational_damping > 0.0 for rod in model.rods)
+        on_rods = any(rod.damping > 0.0 or rod.rotational_damping > 0.0 for rod in model.rods)
+        return on_rods or model.medium_drag > 0.0 or any(line.damping > 0.0 for line in model.lines)
 
     def check(self) -> None:
         """Refuse sums beyond the range of numbers."""
