@@ -16,6 +16,7 @@ from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.critical_step import default_dt
 from lattice_gym.physics.laws.ball import Ball, RigidBall
 from lattice_gym.physics.laws.medium import Medium
+from lattice_gym.physics.measures import dilatation
 from lattice_gym.physics.rod import straight_rod
 from lattice_gym.physics.state import RodState
 from lattice_gym.physics.world import World
@@ -51,10 +52,8 @@ def momenta(model: RodModel, state: RodState) -> FloatArray:
     mass, ball = model.node_mass[:, None], model.ball
     moving = np.concatenate([mass * state.velocity, ball.mass * state.ball_velocity])
     place = np.concatenate([state.position, state.ball_position])
-    inertia = np.concatenate([rod.inertia[:, None] * [1.0, 1.0, 2.0] for rod in model.rods])
-    side = np.delete(np.diff(state.position, axis=0), model.node_offset[1:-1] - 1, axis=0)
-    dilatation = np.linalg.norm(side, axis=1) / np.concatenate([rod.rest_length for rod in model.rods])
-    spin = np.einsum("nji,nj->i", state.directors, inertia * state.omega / dilatation[:, None])
+    inertia = model.rod_array("inertia") / dilatation(model, state.position)
+    spin = np.einsum("nji,nj->i", state.directors, inertia[:, None] * [1.0, 1.0, 2.0] * state.omega)
     return np.stack(
         [moving.sum(axis=0), np.cross(place, moving).sum(axis=0) + spin + ball.inertia * state.ball_omega[0]]
     )

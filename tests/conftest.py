@@ -16,7 +16,7 @@ from agents.training import train
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.body.muscles import named_layout
-from lattice_gym.engines.registry import EngineName
+from lattice_gym.engines.registry import ENGINES, EngineName
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.worm import build_model
 from lattice_gym.recording.trajectory import Recorder, Trajectory
@@ -35,17 +35,27 @@ LONGEST = ("test_env", "test_training", "test_tasks", "test_energy", "test_hill"
 """Files that begin first, so that no process is left alone with one of them at the end."""
 
 
+REFERENCE: EngineName = "pyelastica"
+"""Engine that the others are compared with."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the tests of the longest files first."""
     place = {name: k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path.stem, len(place)))
 
 
-@pytest.fixture(params=["fused", "pyelastica"])
+@pytest.fixture(params=list(ENGINES))
 def engine_name(request: pytest.FixtureRequest) -> EngineName:
-    """Run the test on either engine."""
+    """Run the test on every engine."""
     name: EngineName = request.param
     return name
+
+
+@pytest.fixture(params=[name for name in ENGINES if name != REFERENCE])
+def engine_pair(request: pytest.FixtureRequest) -> tuple[EngineName, EngineName]:
+    """Compare every engine with the reference."""
+    return request.param, REFERENCE
 
 
 @pytest.fixture(scope="session")

@@ -35,10 +35,10 @@ pytestmark = pytest.mark.slow
 FIELDS = ("position", "velocity", "directors", "omega", "ball_position", "ball_velocity", "ball_omega")
 
 
-def test_engines_agree() -> None:
+def test_engines_agree(engine_pair: tuple[EngineName, EngineName]) -> None:
     """A squeeze of one second by random tensions: to rounding after a step, to 1e-9 m and more after all of them."""
     model, dt = worm(Medium(density=900.0), friction=0.4)
-    engines = [simulate(name, model, dt) for name in ("fused", "pyelastica")]
+    engines = [simulate(name, model, dt) for name in engine_pair]
     start = replace(
         thrown(model, (0.03, -0.02, 0.05)),
         ball_position=model.rest_state().ball_position + np.array([1e-3, 2e-3, 0.0]),
@@ -63,14 +63,14 @@ def test_engines_agree() -> None:
         assert np.abs(getattr(a, field) - getattr(b, field)).max() < 1e-9 * scale, field
 
 
-def test_engines_agree_with_all_around() -> None:
+def test_engines_agree_with_all_around(engine_pair: tuple[EngineName, EngineName]) -> None:
     """A worm with a ball that lies on the ground in a medium: to rounding over a tenth of a second."""
     lattice = build_lattice(LatticeDesign(**SMALL, base="free"))
     ground = Ground(forward=0.4, backward=1.5)
     world = World(medium=Medium(density=900.0, drag=0.1), ground=ground, ball=Ball(level=1.5), lying=True)
     model = build_model(lattice, named_layout("all", lattice), world)
     dt, states = default_dt(model, 0.05, 0.5), []
-    for name in ("fused", "pyelastica"):
+    for name in engine_pair:
         engine = simulate(name, model, dt)
         assert engine.advance(np.full((2, model.n_muscle), 0.3), round(0.1 / dt)).ok
         states.append(engine.state)
@@ -92,13 +92,13 @@ def carried(engines: list[Simulation], lattice: Lattice, layout: MuscleLayout, t
     return entries
 
 
-def test_a_wave_carries_alike() -> None:
+def test_a_wave_carries_alike(engine_pair: tuple[EngineName, EngineName]) -> None:
     """On both engines a wave carries the ball to the same place, and the books close."""
     lattice = build_lattice(LatticeDesign(**SMALL, max_tension=1.0))
     layout = named_layout("all", lattice)
     model = build_model(lattice, layout, Transport.world(lattice))
     dt = default_dt(model, 0.05, 1.0)
-    engines = [simulate(name, model, dt, energy_check=True) for name in ("fused", "pyelastica")]
+    engines = [simulate(name, model, dt, energy_check=True) for name in engine_pair]
     entries = carried(engines, lattice, layout, 0.5)
     a, b = (engine.state for engine in engines)
     assert np.linalg.norm(b.ball_position - model.rest_state().ball_position) > 1e-3
@@ -184,11 +184,11 @@ def test_the_ledger_balances(engine_name: EngineName) -> None:
         assert abs(entry.residual) < 0.25 * (100.0 * dt) ** 2 * entry.scale
 
 
-def test_a_worm_keeps_its_books() -> None:
+def test_a_worm_keeps_its_books(engine_pair: tuple[EngineName, EngineName]) -> None:
     """On both engines the same work, dissipation and energy of a squeezed ball; the ledger closes."""
     model, dt = worm(Medium(density=900.0))
     entries = []
-    for name in ("fused", "pyelastica"):
+    for name in engine_pair:
         engine = simulate(name, model, dt, energy_check=True)
         engine.restore(thrown(model, (0.0, 0.0, 0.1)))
         assert engine.advance(np.full((2, model.n_muscle), 0.3), 200).ok
@@ -199,7 +199,7 @@ def test_a_worm_keeps_its_books() -> None:
     np.testing.assert_allclose(entries[0], entries[1], rtol=1e-6, atol=1e-9)
 
 
-def test_books_close_where_a_ball_drags_what_the_ground_holds() -> None:
+def test_books_close_where_a_ball_drags_what_the_ground_holds(engine_pair: tuple[EngineName, EngineName]) -> None:
     """Both frictions act on the same nodes: each works at the velocity that both leave, so the engines agree."""
     rod = straight_rod((0.0, 0.0, 0.01), (0.4, 0.0, 0.01), 4, **ROD)
     rider = RigidBall(
@@ -209,7 +209,7 @@ def test_books_close_where_a_ball_drags_what_the_ground_holds() -> None:
     ground = Ground(stiffness=2e3, static_friction=0.3, kinetic_friction=0.3)
     model = RodModel(rods=(rod,), ball=rider, gravity=np.array([0.0, 0.0, -9.81]), ground=ground)
     entries, moved = [], []
-    for name in ("fused", "pyelastica"):
+    for name in engine_pair:
         engine = simulate(name, model, 1e-4, energy_check=True)
         engine.restore(thrown(model, (1.0, 0.2, -0.1)))
         assert engine.advance([], 200).ok

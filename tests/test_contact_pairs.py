@@ -20,6 +20,7 @@ from lattice_gym.engines.fused.engine import FusedEngine
 from lattice_gym.engines.fused.kernels import contact as kernel
 from lattice_gym.engines.fused.pack import Pack
 from lattice_gym.engines.pyelastica.contact import touchable_pairs
+from lattice_gym.engines.registry import ENGINES
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.laws import contact
@@ -38,7 +39,7 @@ def test_who_touches() -> None:
     joined = crossing(1e-3, joints=(Joint(0, 0, 1, 0, 1e-9),))
     assert contact.excluded(joined).tolist() == [[1, 4]]
     for model in (near, joined, crossing(1e-3, muscles=(1,))):
-        for name in ("fused", "pyelastica"):
+        for name in ENGINES:
             engine = simulate(name, model, 1e-5)
             start = moved(model, 1, (0.0, 0.0, -0.003))
             engine.restore(start)
@@ -99,7 +100,7 @@ def test_list_is_that_of_brute_force(seed: int, n_rod: int, size: float, far: fl
     joints = [Joint(a, 0, b, 1, 1.0) for a, b in ends]
     muscles = tuple(range(int(rng.integers(0, n_rod + 1))))
     model = scattered(rng, n_rod, size, muscles=muscles, joints=tuple(joints))
-    engine, rod = engine_of(model), contact.rod_of(model)
+    engine, rod = engine_of(model), model.element_rod
     solid = ~np.isin(rod, model.muscles)
     every = np.argwhere(solid[:, None] & solid & (rod[:, None] < rod))
     rest, now = model.rest_state(), model.rest_state().copy()
@@ -118,7 +119,7 @@ def test_list_is_that_of_brute_force(seed: int, n_rod: int, size: float, far: fl
 
 def assert_engines_select_alike(model: RodModel) -> int:
     """Compare the pairs that the reference engine tries with those that the law leaves; return how many it excludes."""
-    rod, excluded = contact.rod_of(model), contact.excluded(model)
+    rod, excluded = model.element_rod, contact.excluded(model)
     solid = ~np.isin(rod, model.muscles)
     every = np.argwhere(solid[:, None] & solid & (rod[:, None] < rod))
     left = every[~np.isin(every @ [model.n_elem, 1], excluded @ [model.n_elem, 1])]

@@ -233,10 +233,10 @@ def test_nothing_is_left_of_a_run_that_failed(engine_name: EngineName, lattice: 
     assert engine.ledger == fresh.ledger
 
 
-def test_engines_keep_the_same_books() -> None:
+def test_engines_keep_the_same_books(engine_pair: tuple[EngineName, EngineName]) -> None:
     """PyElastica's own steps, counted in numpy, give the same work, dissipation and energy."""
     books = [_worked(simulate(name, _assembly(), 2e-4, energy_check=True), 0.1, 2)[0]
-             for name in ("fused", "pyelastica")]  # fmt: skip
+             for name in engine_pair]  # fmt: skip
     np.testing.assert_allclose(books[0], books[1], rtol=1e-3, atol=1e-6)
 
 

@@ -82,12 +82,12 @@ def test_engines_agree(options: dict[str, Any]) -> None:
     ("kind", "ground"),
     [("rod", Ground()), ("line", Ground(forward=0.3, backward=1.5, sideways=0.7, static_friction=0.8))],
 )
-def test_engines_agree_on_the_ground(kind: str, ground: Ground) -> None:
+def test_engines_agree_on_the_ground(kind: str, ground: Ground, engine_pair: tuple[EngineName, EngineName]) -> None:
     """A worm in water that lies, slips and sticks: 1e-12 of the scale after one step; 1e-9 m after 0.4 s."""
     lattice = build_lattice(LatticeDesign(n_pairs=3, base="free", damping=1e-3, muscle_model=cast(Any, kind)))
     world = World(medium=Medium(drag=0.1), ground=ground, lying=True)
     model = build_model(lattice, named_layout("all", lattice), world)
-    engines = [simulate(name, model, 2e-4) for name in ("fused", "pyelastica")]
+    engines = [simulate(name, model, 2e-4) for name in engine_pair]
     rng = np.random.default_rng(0)
     largest, sticks, slips = [0.0, 0.0], False, False
     for n_step in (1, *[250] * 8):
@@ -141,11 +141,11 @@ def test_pyelasticas_plane_rests_on_the_order_of_declaration(gravity_first: bool
     np.testing.assert_allclose(found.mean(), share * depth, atol=0.02 * depth)
 
 
-def test_engines_agree_on_any_assembly() -> None:
+def test_engines_agree_on_any_assembly(engine_pair: tuple[EngineName, EngineName]) -> None:
     """General rods: the same motion to rounding, clamps held exactly."""
     model = mixed_assembly()
     dt = 0.5 * critical_dt(model)
-    engines = [simulate(name, model, dt) for name in ("fused", "pyelastica")]
+    engines = [simulate(name, model, dt) for name in engine_pair]
     for engine in engines:
         assert engine.advance([[0.0, 0.0], [100.0, 10.0]], 400).ok
     a, b = engines[0].state, engines[1].state
@@ -179,7 +179,7 @@ def test_large_rotations_are_exact(engine_name: EngineName, angle: float) -> Non
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.3, 0.60, 0.62, 1.5, 3.0])
-def test_large_bends_agree(angle: float) -> None:
+def test_large_bends_agree(angle: float, engine_pair: tuple[EngineName, EngineName]) -> None:
     """The couple between two elements at any angle: on either side of the series' reach, as PyElastica has it."""
     rod = straight_rod((0, 0, 0), (0, 0, 1), 2, radius=0.1, density=1e3, youngs_modulus=1e3, shear_modulus=1e3)
     model = RodModel(rods=(rod,))
@@ -188,7 +188,7 @@ def test_large_bends_agree(angle: float) -> None:
     c, s = np.cos(angle), np.sin(angle)
     directors[1] = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]) @ directors[1]
     omega = []
-    for name in ("fused", "pyelastica"):
+    for name in engine_pair:
         engine = simulate(name, model, 1e-4)
         engine.restore(replace(rest, directors=directors))
         engine.advance([], 1)

@@ -317,10 +317,10 @@ def test_copies_go_on_exactly(copied: Any, engine_name: EngineName) -> None:
     assert same([env.reset()], [twin.reset()])
 
 
-def test_engines_agree() -> None:
+def test_engines_agree(engine_pair: tuple[EngineName, EngineName]) -> None:
     """With velocities damped alike, the two engines return the same observations and rewards, to rounding."""
     shared: dict[str, Any] = {"design": SMALL, "splitting": "pyelastica", "command": SMALL_WAVE}
-    envs = [LatticeWormEnv(engine=engine, **shared) for engine in ("fused", "pyelastica")]
+    envs = [LatticeWormEnv(engine=engine, **shared) for engine in engine_pair]
     for fused, reference in zip(*(episode(env, 4) for env in envs), strict=True):
         np.testing.assert_allclose(fused[0], reference[0], atol=1e-6)
         if len(fused) == 5:

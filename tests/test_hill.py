@@ -149,20 +149,20 @@ def test_the_ledger_counts_the_force_that_acted(muscle: str, hill: Hill) -> None
     assert abs(found[-1][0] / plain[0] - 1.0) > 2e-3
 
 
-def test_engines_keep_the_same_books() -> None:
+def test_engines_keep_the_same_books(engine_pair: tuple[EngineName, EngineName]) -> None:
     """PyElastica's steps, counted in numpy, give the same work, dissipation and energy of a rod and a line."""
     model = swinging("both", SLOW)
-    both = [books(simulate(name, model, 2e-4, energy_check=True)) for name in ("fused", "pyelastica")]
+    both = [books(simulate(name, model, 2e-4, energy_check=True)) for name in engine_pair]
     np.testing.assert_allclose(both[0], both[1], atol=1e-4 * np.abs(both[1]).max())
 
 
 @pytest.mark.parametrize("options", [{}, {"muscle_model": "line"}, {"n_pairs": 3, "elements_per_muscle": 3}])
-def test_engines_agree(options: dict[str, Any]) -> None:
+def test_engines_agree(options: dict[str, Any], engine_pair: tuple[EngineName, EngineName]) -> None:
     """Random activations: 1e-12 of the scale after a step, 1e-9 m after several hundred."""
     lattice = build_lattice(LatticeDesign(**options))
     model = build_model(lattice, named_layout("all", lattice), hill=Hill(max_speed=50.0, width=0.3))
     dt = default_dt(model, 0.05, 0.5)
-    engines = [simulate(name, model, dt) for name in ("fused", "pyelastica")]
+    engines = [simulate(name, model, dt) for name in engine_pair]
     rng = np.random.default_rng(0)
     for engine in engines:
         assert engine.advance(np.full(model.n_muscle, 0.3), 1).ok

@@ -36,9 +36,9 @@ def case(name: str) -> Case:
 
 
 @pytest.mark.parametrize("case", QUICK, ids=lambda case: case.name)
-def test_exact_case(case: Case) -> None:
+def test_exact_case(case: Case, engine_pair: tuple[EngineName, EngineName]) -> None:
     """Both engines are within the tolerance on the coarse mesh, and agree to rounding."""
-    outcomes = [run(case, name, case.coarse) for name in ("fused", "pyelastica")]
+    outcomes = [run(case, name, case.coarse) for name in engine_pair]
     for outcome in outcomes:
         assert outcome.reading.error <= outcome.tolerance, outcome.engine
     assert difference(*outcomes) < 1e-9
@@ -52,11 +52,13 @@ def test_rods_held_out_of_their_own_shape(case: Case) -> None:
 
 
 @pytest.mark.parametrize("case", HELD, ids=lambda case: case.name)
-def test_engines_agree_on_rods_held_out_of_their_own_shape(case: Case) -> None:
+def test_engines_agree_on_rods_held_out_of_their_own_shape(
+    case: Case, engine_pair: tuple[EngineName, EngineName]
+) -> None:
     """After 200 steps from the pre-stressed start."""
     scene = case.build(case.coarse)
     ends = []
-    for name in ("fused", "pyelastica"):
+    for name in engine_pair:
         engine = simulate(name, scene.model, scene.dt)
         engine.restore(scene.start)
         assert engine.advance([], 200).ok

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from lattice_gym.benchmarks.__main__ import Validation, parse
+from lattice_gym.benchmarks.benchmark_scene import ENGINES
 from lattice_gym.benchmarks.validation import report as validation
 from lattice_gym.verification.cases import CASES
 
@@ -24,7 +25,7 @@ def test_the_quick_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert validation.report(tmp_path, quick=True, pictures=True, command="test", cases=FEW)
     result = json.loads((tmp_path / "validation.json").read_text())
     assert [row["case"] for row in result["cases"]] == [case.name for case in FEW]
-    assert all(row["engines"][name]["passed"] for row in result["cases"] for name in ("fused", "pyelastica"))
+    assert all(row["engines"][name]["passed"] for row in result["cases"] for name in ENGINES)
     assert max(row["difference"] for row in result["cases"]) < 1e-9
     assert {row["case"] for row in result["meshes"]} == {"timoshenko_cantilever", "helical_spring"}
     for scene in ("ringing bar, damped", "spinning rod, positions", "spinning rod, directors"):

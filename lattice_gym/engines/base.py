@@ -203,7 +203,7 @@ class Engine(ABC):
         self._show(worm, state)
         self._discard_checks(worm)
         if self._half_step is not None:
-            self._half_step.restore(worm, state)
+            self._half_step._restore(worm, state)
 
     def replace(self, worm: int, model: RodModel) -> None:
         """Let a worm begin again from the rest state of another model of the same shape.
@@ -217,14 +217,15 @@ class Engine(ABC):
         worm = self._row(worm)
         if (differs := difference_in_shape(self.models[worm], model)) is not None:
             raise ValueError(f"model: must have the shape of the one before, but differs in {differs}")
-        self._replace(worm, model)
-        self.models[worm] = model
+        for engine in (self, self._half_step):
+            if engine is not None:
+                engine._replace(worm, model)
+                engine.models[worm] = model
         self._show(worm, model.rest_state())
         if self._audits:
             self._audits[worm] = EnergyAudit(model)
-        if self._half_step is not None:
+        if self._comparisons:
             self._comparisons[worm] = StepDoubling(model)
-            self._half_step.replace(worm, model)
 
     def ledger(self, worm: int = 0) -> Ledger | None:
         """Energy of a worm over the last call to `advance`, that of one which failed by it included.

@@ -72,10 +72,8 @@ class _Points(ObservationTerm):
     unit = "0.2 body lengths; body lengths / s"
 
     def __init__(self, scene: Scene) -> None:
-        clamps = scene.model.clamps
-        clamped = [scene.model.node_offset[clamp.rod] + clamp.node for clamp in clamps if clamp.node is not None]
         points = self._points(scene)
-        self._nodes = points[~np.isin(points, clamped).any(axis=1)].T
+        self._nodes = points[~np.isin(points, scene.model.clamped_nodes[0]).any(axis=1)].T
         self._rest, self._travels = self._sum(scene.start.position), scene.task.travels
         # Of sums over the nodes of a point, which are one or two, so that nothing is rounded by it.
         scale = len(self._nodes) * scene.design.height

@@ -113,9 +113,8 @@ class RodModel:
             self.check_node(f"clamps[{k}]", clamp.rod, clamp.node or 0)
             self.check_element(f"clamps[{k}]", clamp.rod, clamp.element or 0)
         with np.errstate(all="ignore"):
-            for law in LAWS:
-                if law.present(self):
-                    law(self).check()
+            for law in self.laws:
+                law.check()
 
     def __repr__(self) -> str:
         counts = f"{self.n_rod} rods, {self.n_node} nodes, {self.n_muscle} muscles, {len(self.joints)} joints"
@@ -220,6 +219,11 @@ class RodModel:
         return np.delete(np.arange(self.n_node), self.node_offset[1:] - 1)
 
     @cached_property
+    def element_rod(self) -> IntArray:
+        """Rod of every element, shape (n_elem,)."""
+        return np.repeat(np.arange(self.n_rod), [rod.n_elem for rod in self.rods])
+
+    @cached_property
     def left_element(self) -> IntArray:
         """Row of the first element of every Voronoi region, shape (n_elem - n_rod,); the next row is its second."""
         return np.delete(np.arange(self.n_elem), self.element_offset[1:] - 1)
@@ -262,7 +266,7 @@ class RodModel:
     @cached_property
     def muscle_elements(self) -> tuple[IntArray, IntArray]:
         """Rows of the lower nodes of all elements of rods that contract, and where in them each such rod begins."""
-        lower = [np.arange(self.nodes(rod).start, self.nodes(rod).stop - 1) for rod in self.muscles]
+        lower = [self.lower_node[self.elements(rod)] for rod in self.muscles]
         start = np.cumsum([0] + [len(rows) for rows in lower])[:-1]
         return np.concatenate([np.zeros(0, np.int64), *lower]), start
 

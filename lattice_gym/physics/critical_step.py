@@ -93,7 +93,7 @@ class _Linear:
         # Springs on nodes alone are summed first: their order decides the last bits of every step.
         self.springs = sorted((spring for part in parts for spring in part.springs), key=lambda spring: spring.coupled)
         self.dashpots = [dashpot for part in parts for dashpot in part.dashpots]
-        e = np.repeat(shortened.rod, [rod.n_elem for rod in model.rods])
+        e = shortened.rod[model.element_rod]
         spin_mass = (model.rod_array("inertia") / e)[:, None] * [1.0, 1.0, 2.0]
         ball_mass = np.repeat([ball.mass for ball in model.balls], 3)
         self.mass = np.concatenate([np.repeat(model.node_mass, 3), spin_mass.ravel(), ball_mass])

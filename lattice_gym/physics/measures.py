@@ -402,9 +402,9 @@ def _separation_rate(position: FloatArray, velocity: FloatArray, first: IntArray
 
 def dilatation(model: RodModel, position: FloatArray) -> FloatArray:
     """Length of every element over its rest length, shape (..., n_elem)."""
-    rest = np.concatenate([rod.rest_length for rod in model.rods])
-    lower = np.delete(np.arange(model.n_node), model.node_offset[1:] - 1)
-    ratio: FloatArray = _norm(position[..., lower + 1, :] - position[..., lower, :]) / rest
+    lower = model.lower_node
+    side = position[..., lower + 1, :] - position[..., lower, :]
+    ratio: FloatArray = _norm(side) / model.rod_array("rest_length")
     return ratio
 
 

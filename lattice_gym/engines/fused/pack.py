@@ -204,12 +204,8 @@ class Pack:
         ):
             self._fill_lane(cell, lane, rod)
         damping.fill_nodes(cells, node, model, dt, self._splitting)
-        for clamp in model.clamps:
-            if clamp.node is not None:
-                n = int(model.node_offset[clamp.rod]) + clamp.node
-                cells["keep"][node.of(n)] = cells["kick"][node.of(n)] = 0.0
-            if clamp.element is not None:
-                cells["spin_kick"][element.of(int(model.element_offset[clamp.rod]) + clamp.element)] = 0.0
+        held, turned = node.of(model.clamped_nodes[0]), element.of(model.clamped_elements[0])
+        cells["keep"][held] = cells["kick"][held] = cells["spin_kick"][turned] = 0.0
         if scene.loads is not None:
             loads.fill_forces(cells, node, model)
         if scene.torques is not None:
@@ -306,7 +302,7 @@ class Pack:
             return Health(code)
         if found >= model.n_elem:
             return overstretched_line(model, found - model.n_elem)
-        rod = int(np.searchsorted(model.element_offset, found, side="right")) - 1
+        rod = int(model.element_rod[found])
         return Health(code, rod, found - int(model.element_offset[rod]))
 
     def flow(self) -> Flow:

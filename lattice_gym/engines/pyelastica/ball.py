@@ -79,7 +79,7 @@ class _NormalForce(NoForces[Sphere]):
         super().__init__()
         self.bodies, self.ball, self.touches = bodies, ball, touches
         self.distance = ball.radius + bodies.model.element_radius
-        self.first = bodies.first_nodes()
+        self.first = bodies.model.lower_node
 
     def apply_forces(self, system: Sphere, time: np.float64 = START) -> None:
         ball, touches = self.ball, self.touches

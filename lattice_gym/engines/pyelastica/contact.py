@@ -80,7 +80,7 @@ class Contact(Law):
         super().__init__(bodies)
         assert bodies.model.contact is not None
         self._law = bodies.model.contact
-        self._first, self._radius = bodies.first_nodes(), bodies.model.element_radius
+        self._first, self._radius = bodies.model.lower_node, bodies.model.element_radius
         self._pairs = touchable_pairs(bodies.model).T
         self._power = 0.0
 

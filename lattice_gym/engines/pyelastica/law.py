@@ -13,7 +13,7 @@ from elastica.modules.forcing import Forcing
 from elastica.rigidbody.sphere import Sphere
 from elastica.rod.cosserat_rod import CosseratRod
 
-from lattice_gym.checks import FloatArray, IntArray
+from lattice_gym.checks import FloatArray
 from lattice_gym.physics.assembly import RodModel
 from lattice_gym.physics.energy import Flow
 from lattice_gym.physics.laws import base as laws
@@ -51,10 +51,6 @@ class Bodies(NamedTuple):
         """Add forces on all nodes [N], shape (n_node, 3)."""
         for index, rod in enumerate(self.rods):
             rod.external_forces += force[self.model.nodes(index)].T
-
-    def first_nodes(self) -> IntArray:
-        """Rows of the first node of every element, shape (n_elem,); the other is the next row."""
-        return np.delete(np.arange(self.model.n_node), self.model.node_offset[1:] - 1)
 
     def node_kick(self) -> FloatArray:
         """Velocity that a unit force adds to each node in a step [m/(N s)], damping included, shape (n_node,)."""

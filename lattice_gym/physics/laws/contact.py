@@ -173,17 +173,12 @@ def nearest(a: FloatArray, along_a: FloatArray, b: FloatArray, along_b: FloatArr
 
 def touchable(model: RodModel) -> IntArray:
     """Elements of all rods that are no muscles, in order."""
-    return np.flatnonzero(~np.isin(rod_of(model), model.muscles))
-
-
-def rod_of(model: RodModel) -> IntArray:
-    """Rod of every element, shape (n_elem,)."""
-    return np.repeat(np.arange(model.n_rod), [rod.n_elem for rod in model.rods])
+    return np.flatnonzero(~np.isin(model.element_rod, model.muscles))
 
 
 def depths(model: RodModel, position: FloatArray, pairs: IntArray) -> FloatArray:
     """Depth to which each pair of elements overlaps [m], shape (n_pair,); negative where they are apart."""
-    lower = np.arange(model.n_elem) + rod_of(model)
+    lower = model.lower_node
     start, side = position[lower], position[lower + 1] - position[lower]
     i, j = pairs.T
     s, t = nearest(start[i], side[i], start[j], side[j])
@@ -204,8 +199,8 @@ def overlapping(model: RodModel, position: FloatArray, margin: float = 0.0) -> I
     With a margin also those nearer than 1 + `margin` times their radii. Sorted by their place along the longest side of
     the assembly, elements are tried with those near them on it, some at a time to bound the memory.
     """
-    element, rod = touchable(model), rod_of(model)
-    lower = element + rod[element]
+    element, rod = touchable(model), model.element_rod
+    lower = model.lower_node[element]
     middle = 0.5 * (position[lower] + position[lower + 1])
     if not np.isfinite(middle).all() or len(element) == 0:
         return np.zeros((0, 2), np.int64)
@@ -235,7 +230,7 @@ def excluded(model: RodModel) -> IntArray:
     That is, at rest: those of joined rods that are nearer than 1 + `MARGIN` times their radii, and of other rods those
     that overlap by more than rounding.
     """
-    position, rod = model.rest_state().position, rod_of(model)
+    position, rod = model.rest_state().position, model.element_rod
     near = overlapping(model, position, MARGIN)
     joints = np.array([[joint.rod_a, joint.rod_b] for joint in model.joints], np.int64).reshape(-1, 2)
     number = [model.n_rod, 1]

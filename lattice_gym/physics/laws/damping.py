@@ -41,7 +41,7 @@ def damping_shares(decay: FloatArray, splitting: Splitting) -> tuple[FloatArray,
 
 def coefficients(model: RodModel) -> FloatArray:
     """Damping of every component of what moves [N s/m, N m s], shape (3 n_node + 3 n_elem + 3 n_ball,)."""
-    spin = np.repeat([rod.rotational_damping for rod in model.rods], [rod.n_elem for rod in model.rods])
+    spin = np.array([rod.rotational_damping for rod in model.rods])[model.element_rod]
     return np.repeat(np.concatenate([model.node_damping, spin, np.zeros(model.n_ball)]), 3)
 
 
@@ -51,7 +51,8 @@ class DampingLaw(Law):
     @classmethod
     def present(cls, model: RodModel) -> bool:
         """Anything is damped."""
-        return bool(model.node_damping.any()) or any(rod.rotational_damping > 0.0 for rod in model.rods)
+        on_rods = any(rod.damping > 0.0 or rod.rotational_damping > 0.0 for rod in model.rods)
+        return on_rods or model.medium_drag > 0.0 or any(line.damping > 0.0 for line in model.lines)
 
     def check(self) -> None:
         """Refuse sums beyond the range of numbers."""

@@ -153,9 +153,8 @@ class _RodSprings:
 
     @classmethod
     def of(cls, model: RodModel, shortened: Shortened) -> _RodSprings:
-        rods = model.rods
-        n_elem = [rod.n_elem for rod in rods]
-        e = np.repeat(shortened.rod, n_elem)
+        rod, left, frame = model.element_rod, model.left_element, model.rod_array("directors")
+        e = shortened.rod[rod]
         pull = np.zeros(model.n_rod)
         pull[list(model.muscles)] = shortened.peak
         rest, shear, stretch = (
@@ -163,19 +162,14 @@ class _RodSprings:
         )
         # An element under axial force N turns against G A - N.
         cross = shear + stretch * (1.0 - e) / e
-        across = (shear + np.repeat(pull, n_elem)) / (rest * e)
-        stiff = np.concatenate(
-            [np.stack([rod.bend_stiffness, rod.bend_stiffness, rod.twist_stiffness], axis=1) / rod.rest_voronoi[:, None]
-             for rod in rods]
-        )  # fmt: skip
-        root = np.sqrt(stiff / np.repeat(shortened.rod, [n - 1 for n in n_elem])[:, None] ** 3)
-        after = _log_derivative(
-            np.concatenate([rotation_between(rod.directors[:-1], rod.directors[1:]) for rod in rods])
-        )
+        across = (shear + pull[rod]) / (rest * e)
+        bend, twist, voronoi = (model.rod_array(name) for name in ("bend_stiffness", "twist_stiffness", "rest_voronoi"))
+        root = np.sqrt(np.stack([bend, bend, twist], axis=1) / voronoi[:, None] / e[left, None] ** 3)
+        after = _log_derivative(rotation_between(frame[left], frame[left + 1]))
         return cls(
             low=model.lower_node,
-            left=model.left_element,
-            frame=model.rod_array("directors"),
+            left=left,
+            frame=frame,
             stretch=np.stack([across, across, stretch / (rest * e**2)], axis=1),
             across=cross,
             turn=rest * e * cross,

@@ -114,7 +114,7 @@ class GroundLaw(Law):
         """Refuse friction by direction where rods' ends cancel out: of them the body axis is made."""
         if self._ground.isotropic:
             return
-        place = np.concatenate([rod.position for rod in self.model.rods])
+        place = self.model.rod_array("position")
         tail, head = self.model.rod_ends
         with np.errstate(all="ignore"):
             chord = place[head] - place[tail]

@@ -46,7 +46,7 @@ def pack(model: RodModel, node: Places, element: Places, n_cell: int, dt: float,
     velocity, omega, reaction = np.zeros((3, n_cell, 3, LANES))
     line, line_tension = np.zeros((2, len(model.lines)))
     after[node], before[node], mixed[node] = loss_factors(model, dt, splitting)
-    inertia[element] = np.concatenate([rod.inertia for rod in model.rods])
+    inertia[element] = model.rod_array("inertia")
     moved = length, tension, velocity, omega, reaction, line, line_tension
     return Account(np.zeros(3), after, before, mixed, inertia, *moved)
 

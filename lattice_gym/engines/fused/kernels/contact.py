@@ -64,9 +64,9 @@ def pack(model: RodModel, place: Places) -> Contact | None:
         return None
     element = law.touchable(model)
     n_elem = len(element)
-    rod, radius = law.rod_of(model)[element], model.element_radius[element]
+    rod, radius = model.element_rod[element], model.element_radius[element]
     excluded = np.searchsorted(element, law.excluded(model))
-    rest = np.concatenate([part.rest_length for part in model.rods])
+    rest = model.rod_array("rest_length")
     return Contact(
         cell=place.cell[element], lane=place.lane[element], rod=rod, radius=radius,
         excluded=excluded[:, 1].copy(), row=np.searchsorted(excluded[:, 0], np.arange(n_elem + 1)),

@@ -54,9 +54,7 @@ def tie_ends(
     model: RodModel, ties: Sequence[Joint | Line], node: Places
 ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
     """Find records and lanes of the first and of the second node of each tie, worm by worm."""
-    first = np.array([model.node_offset[tie.rod_a] + tie.node_a for tie in ties], np.int64)
-    second = np.array([model.node_offset[tie.rod_b] + tie.node_b for tie in ties], np.int64)
-    cell, lane = node
+    (first, second), (cell, lane) = model.tie_nodes(ties), node
     return cell[:, first].ravel(), lane[:, first].ravel(), cell[:, second].ravel(), lane[:, second].ravel()
 
 
