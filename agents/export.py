@@ -9,7 +9,8 @@ import tyro
 
 from agents.command_line import run
 from agents.config import InputError, allow_modules, input_errors
-from agents.policies import load_policy
+from agents.policies import policy_of
+from agents.run_folder import Run
 
 
 def main(
@@ -34,7 +35,7 @@ def main(
     allow_modules(allow)
     if file.suffix != ".npz":
         raise InputError(f"file = {file}: must end in .npz")
-    policy = load_policy(source)
+    policy = policy_of(Run.open(source))
     with input_errors():
         policy.save(file)
     print(f"{policy} of {policy.origin['steps']} steps; play it with: lattice_gym.load_policy({str(file)!r})")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,8 @@ from agents.config import (
     input_errors,
 )
 from agents.run_folder import Run, Source, read_file
+from lattice_gym.checks import items, whole
+from lattice_gym.envs.actions import resolve_action_range
 from lattice_gym.policies import network
 from lattice_gym.policies.base import Env, Policy, opened
 from lattice_gym.policies.conversion import from_state, normalisation
@@ -38,6 +41,8 @@ class PolicyFile(Source):
             raise InputError(f"{path}: no such file")
         with input_errors():
             policy = network.load_policy(path)
+            pair = partial(items, each=partial(whole, low=0), count=2, what="seeds, the first and the last")
+            items(f"{path}: origin: seeds", policy.origin.get("seeds", ()), pair, what="pairs of seeds")
         if not policy.environment:
             raise InputError(f"{path}: does not say which environment it acts in")
         return cls(path=path, env_arguments=dict(policy.environment), policy=policy)
@@ -90,8 +95,9 @@ def policy_of(source: Run | PolicyFile) -> NetworkPolicy:
         return from_state(state, LEARNER_ACTIVATION, scaled, low, high, source.env_arguments, origin)
 
     policy = read_file(checkpoint / run_folder.MODEL, read)
-    low, high = source.env_arguments["action_range"]
-    return policy if (low, high) == LEARNER_RANGE else policy.in_range(low, high)
+    with input_errors():
+        ends = resolve_action_range(source.env_arguments["action_range"])
+    return policy if ends == LEARNER_RANGE else policy.in_range(*ends)
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -231,6 +232,16 @@ def test_policy_of_another_range(run: Path, tmp_path: Path, ends: tuple[float, f
     )
 
 
+def test_range_of_a_run_that_is_none(run: Path, tmp_path: Path) -> None:
+    """A spoilt file of further arguments is told of by the argument."""
+    copy = Path(shutil.copytree(run, tmp_path / "run"))
+    for ends in ("01", [1, -1], None, 7):
+        (copy / "environment.json").write_text(json.dumps({"action_range": ends}))
+        for use in (agents.load_policy, evaluate):
+            with pytest.raises(InputError, match=r"^action_range = "):
+                cast(Any, use)(copy)
+
+
 def _squashed(worms: Any) -> Any:
     return _model(worms, use_sde=True, policy_kwargs={"squash_output": True})
 
@@ -357,6 +368,14 @@ def test_programs_name_what_they_cannot_use(run: Path, tmp_path: Path) -> None:
     for path, message in ((tmp_path / "absent.npz", "no such file"), (tmp_path / "bare.npz", "does not say which")):
         with pytest.raises(InputError, match=message):
             evaluate(path, episodes=1)
+    file = tmp_path / "noted.npz"
+    notes: list[Any] = [5, "ab", [[1]], [[1, "b"]], [[-1, 2]], {"1": 2}]
+    for seeds in notes:
+        NetworkPolicy(**GOOD, environment={"id": "LatticeWorm-v0"}, origin={"seeds": seeds}).save(file)
+        with pytest.raises(InputError, match=r"noted\.npz: origin: seeds"):
+            evaluate(file, episodes=1)
+    with pytest.raises(InputError, match="no such run folder"):
+        export_main(file, tmp_path / "policy.npz")
     with pytest.raises(InputError, match=r"^file = .*policy\.zip: must end in \.npz"):
         export_main(run, tmp_path / "policy.zip")
     with pytest.raises(InputError, match="no such run folder"):
