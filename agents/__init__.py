@@ -15,7 +15,7 @@ NEEDED = ("gymnasium", "numba", "numpy", "elastica", "stable_baselines3", "torch
 if _missing := [name for name in NEEDED if find_spec(name) is None]:
     sys.exit(
         f"error: {', '.join(_missing)} not installed for {sys.executable}: activate the environment that make demo"
-        " made (source .venv/bin/activate), or pip install '.[train,video]'"
+        ' made (source .venv/bin/activate), or pip install ".[train,video]"'
     )
 
 from agents.policies import load_policy  # noqa: E402, after the line that says what is missing
