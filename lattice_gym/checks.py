@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache, partial
@@ -200,14 +200,14 @@ def items(
     name: str, values: object, each: Callable[[str, Any], T], count: int | None = None, what: str = "values"
 ) -> tuple[T, ...]:
     """Items of a sequence, each checked under its own name, as many as count says."""
+    unordered = isinstance(values, set | frozenset)
     sequence = isinstance(values, Iterable) and not isinstance(values, str | bytes | type | Mapping)
-    # Where their number is fixed each has its place, and a set has no order.
-    ordered = count is None or not isinstance(values, Set)
-    if sequence and ordered and getattr(values, "ndim", 1) > 0:
+    if sequence and not unordered and getattr(values, "ndim", 1) > 0:
         given: tuple[Any, ...] = tuple(values)  # type: ignore[arg-type]
         if count is None or len(given) == count:
             return tuple(each(f"{name}[{k}]", value) for k, value in enumerate(given))
-    raise invalid_value(name, values, f"must be a sequence of {what if count is None else f'{count} {what}'}")
+    number_of = what if count is None else f"{count} {what}"
+    raise invalid_value(name, values, f"must be a sequence of {number_of}{'; a set has no order' * unordered}")
 
 
 def is_list(value: object) -> TypeGuard[Sequence[Any]]:

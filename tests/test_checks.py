@@ -36,6 +36,7 @@ from lattice_gym.checks import (
 from lattice_gym.physics.laws.activation import FirstOrder, Thelen, Twitch
 from lattice_gym.physics.laws.adaptation import Adaptation
 from lattice_gym.physics.laws.ball import Ball
+from lattice_gym.physics.laws.base import tuple_of
 from lattice_gym.physics.laws.contact import Contact
 from lattice_gym.physics.laws.ground import Ground
 from lattice_gym.physics.laws.hill import Hill
@@ -104,7 +105,13 @@ def test_what_is_taken_becomes_plain(check: Callable[..., Any], given: Any, take
         (partial(optional, whole, low=0), -1, "x = -1: must be a whole number, at least 0, or None"),
         (partial(instance, kind=Wheel, how=", as Wheel() is"), 3, "x = 3: must be Wheel, as Wheel() is"),
         (partial(items, each=whole, what="sites"), "ab", "x = 'ab': must be a sequence of sites"),
-        (partial(items, each=whole, count=2), {1, 2}, "x = {1, 2}: must be a sequence of 2 values"),
+        (partial(items, each=whole, count=2), {1, 2}, "x = {1, 2}: must be a sequence of 2 values; a set has no order"),
+        (
+            partial(items, each=whole),
+            frozenset([1]),
+            "x = frozenset({1}): must be a sequence of values; a set has no order",
+        ),
+        (tuple_of(Wheel), set(), "x = set(): must be a sequence of Wheel; a set has no order"),
         (partial(items, each=whole), [0, 0.5], "x[1] = 0.5: must be a whole number"),
         (partial(names, known=("a", "b")), {"c": 1}, "x: there is no 'c'; there are a, b"),
         (partial(names, known=("a",), what="numbers"), 3, "x = 3: must be a mapping of names to numbers"),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lattice_gym.checks import FloatArray
+from lattice_gym.checks import FloatArray, IntArray
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.physics.assembly import LAWS, RodModel
@@ -170,6 +170,60 @@ def test_friction_of_the_ground_follows_the_formula(
     engine.advance([], 1)
     np.testing.assert_allclose(engine.state.velocity[:, :2], expected, rtol=1e-9, atol=1e-15)
     assert (speed > 1e-3) == bool(expected.any())
+
+
+def _rubbed(engine_name: EngineName, model: RodModel, pace: float) -> tuple[float, IntArray]:
+    """Largest error of what friction changes in a step, over the change, and which touches of the ball it stops."""
+    rest, shaken = model.rest_state(), _shaken(model, 0)
+    state = replace(
+        rest, **{name: pace * getattr(shaken, name) for name in ("velocity", "ball_velocity", "ball_omega")}
+    )
+    middle, push = _drifted(state), DT / model.node_mass
+    law = next(law for law in model.laws if isinstance(law, BallLaw))
+    forces, normal = [found.force(middle, np.zeros(0)) for found in model.laws], law.normal_force(middle)
+    kicked = replace(
+        middle,
+        velocity=state.velocity + push[:, None] * sum(force.node for force in forces),
+        ball_velocity=state.ball_velocity + DT / law.ball.mass * sum(force.ball for force in forces),
+    )
+    formula = law.apply_friction(kicked, normal, push, DT)
+    engine = simulate(engine_name, model, DT)
+    engine.restore(state)
+    engine.advance([], 1)
+    errors = []
+    for name in ("velocity", "ball_velocity", "ball_omega"):
+        found, left, before = (getattr(of, name) for of in (engine.state, formula, kicked))
+        errors.append(np.abs(found - left).max() / np.abs(left - before).max())
+    slip = np.linalg.norm(law.slip(formula), axis=1)
+    return max(errors), np.flatnonzero((normal > 0.0) & (slip < 1e-12))
+
+
+@pytest.mark.parametrize(("friction", "pace"), [(0.02, 1.0), (0.3, 0.003)])
+def test_slip_against_the_ball_follows_the_formula(friction: float, pace: float, engine_name: EngineName) -> None:
+    """Of four touches at once, two on each of two rods, fast and slow."""
+    error, stopped = _rubbed(engine_name, _model(ball=replace(PARTS[BallLaw]["ball"], friction=friction)), pace)
+    assert error < 1e-7
+    assert stopped.size == 0
+
+
+def test_a_touch_that_sticks_follows_the_formula(engine_name: EngineName) -> None:
+    """Friction takes all its slip, to rounding."""
+    place = np.array([0.15, 0.03, 0.05])
+    model = _model(ball=replace(PARTS[BallLaw]["ball"], position=place, friction=50.0))
+    error, stopped = _rubbed(engine_name, replace(model, rods=model.rods[:1]), 0.003)
+    assert error < 1e-9
+    assert stopped.tolist() == [1]
+
+
+@pytest.mark.parametrize(("friction", "stick"), [(1.0, 1), (3.0, 2), (30.0, 4)])
+def test_touches_that_stick_together_follow_the_formula(
+    friction: float, stick: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where sweeps may go on: six leave some of the slip, and take it in the steps that follow."""
+    monkeypatch.setattr("lattice_gym.engines.pyelastica.ball._SWEEPS", 1000)
+    error, stopped = _rubbed("pyelastica", _model(ball=replace(PARTS[BallLaw]["ball"], friction=friction)), 0.003)
+    assert error < 1e-6
+    assert len(stopped) == stick
 
 
 @pytest.mark.parametrize("law", [JointLaw, LineLaw, MediumLaw, GroundLaw, BallLaw, ContactLaw])

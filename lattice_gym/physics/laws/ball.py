@@ -7,15 +7,20 @@ velocity of the ball's material relative to the centre line at the nearest point
 
 The lever rule shares the push between the element's two nodes, and the ball has the opposite force. Stored is
 stiffness d^2 / 2. Friction, at most friction N, comes after all forces and damping of a step: it takes all slip u_t
-that these leave, or acts against it in full (Coulomb). Which touches stick depends on all of them: the engines solve
-for that by projected Gauss-Seidel iteration on the Delassus matrix of the touches.
+that these leave, or acts against it in full (Coulomb). Which touches stick depends on all of them: with W the Delassus
+matrix of the touches, the slip that all frictions F together add, they are the least of
+
+    F.W F / 2 + F.u_t   over all F that are along the surface and |F| <= friction N at each touch
+
+The plain formula finds them by projected gradient descent, to rounding; the engines by six symmetric sweeps at most of
+projected Gauss-Seidel iteration. Where touches stick together these leave some of their slip to the steps that follow.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
@@ -27,6 +32,9 @@ from lattice_gym.physics.laws.base import Generalised, Law, Linearised, Shortene
 if TYPE_CHECKING:
     from lattice_gym.physics.assembly import RodModel
     from lattice_gym.physics.state import RodState
+
+_MAX_DESCENTS, _DESCENDED = 100_000, 1e-15
+"""Steps of gradient descent at most, and the change in one, over the largest friction, at which they end."""
 
 N_CENTRES = 256
 """Largest number of elements at whose middles the ball is placed to count what it touches there."""
@@ -100,7 +108,8 @@ class BallLaw(Law):
         return model.ball is not None
 
     @cached_property
-    def _ball(self) -> RigidBall:
+    def ball(self) -> RigidBall:
+        """What pushes at rods."""
         assert self.model.ball is not None
         return self.model.ball
 
@@ -114,7 +123,7 @@ class BallLaw(Law):
 
     def energy(self, state: RodState) -> Mapping[str, FloatArray]:
         """Kinetic energy of the ball, shape (1,), and of the spring between it and every element, shape (n_elem,)."""
-        ball, (gap, _) = self._ball, self._gaps(state)
+        ball, (gap, _) = self.ball, self._gaps(state)
         square = [np.sum(moving**2, axis=1) for moving in (state.ball_velocity, state.ball_omega)]
         depth = np.maximum(ball.radius + self.model.element_radius - np.linalg.norm(gap, axis=1), 0.0)
         return {
@@ -124,32 +133,93 @@ class BallLaw(Law):
 
     def work(self, before: RodState, after: RodState) -> float:
         """Of its constant force [J]."""
-        return float((after.ball_position - before.ball_position)[0] @ self._ball.force)
+        return float((after.ball_position - before.ball_position)[0] @ self.ball.force)
 
     def linearised(self, shortened: Shortened) -> Linearised:
         """Springs and dashpots of all that it may touch."""
-        ball = self._ball
+        ball = self.ball
         springs, dashpots = (_BallSprings.of(self.model, ball, size) for size in (ball.stiffness, ball.damping))
         return Linearised(
             [springs] if ball.stiffness > 0.0 else [],
             [dashpots] if ball.damping > 0.0 else [],
         )
 
-    def force(self, state: RodState, tension: FloatArray) -> Generalised:
-        """Constant force and pushes; for friction see above."""
-        ball, force, low = self._ball, Generalised.zeros(self.model), self.model.lower_node
-        gap, share = self._gaps(state)
-        distance, bears = np.linalg.norm(gap, axis=1), np.stack([1.0 - share, share])
-        normal = gap / distance[:, None]
-        own = state.ball_velocity - np.cross(state.ball_omega, gap)
-        line = bears[0, :, None] * state.velocity[low] + bears[1, :, None] * state.velocity[low + 1]
+    def normal_force(self, state: RodState) -> FloatArray:
+        """Return the normal force of every element [N], shape (n_elem,)."""
+        ball, gap = self.ball, self._gaps(state)[0]
+        distance = np.linalg.norm(gap, axis=1)
         depth = ball.radius + self.model.element_radius - distance
-        push = np.maximum(ball.stiffness * depth - ball.damping * np.sum((own - line) * normal, axis=1), 0.0)
-        on_ball = np.where(depth > 0.0, push, 0.0)[:, None] * normal
-        force.ball[:] = ball.force + on_ball.sum(axis=0)
-        for node, part in zip((low, low + 1), bears, strict=True):
+        push = ball.stiffness * depth - ball.damping * np.sum(self._velocity(state) * gap, axis=1) / distance
+        return np.where(depth > 0.0, np.maximum(push, 0.0), 0.0)
+
+    def slip(self, state: RodState) -> FloatArray:
+        """Return the velocity of the ball over every element along the surface [m/s], shape (n_elem, 3)."""
+        gap, velocity = self._gaps(state)[0], self._velocity(state)
+        off: FloatArray = np.sum(velocity * gap, axis=1)[:, None] * gap / np.sum(gap**2, axis=1)[:, None]
+        return velocity - off
+
+    def _velocity(self, state: RodState) -> FloatArray:
+        """Velocity of the ball's material over the nearest point of every element [m/s], shape (n_elem, 3)."""
+        low, (gap, share) = self.model.lower_node, self._gaps(state)
+        own = state.ball_velocity - np.cross(state.ball_omega, gap)
+        line = (1.0 - share)[:, None] * state.velocity[low] + share[:, None] * state.velocity[low + 1]
+        velocity: FloatArray = own - line
+        return velocity
+
+    def force(self, state: RodState, tension: FloatArray) -> Generalised:
+        """Constant force and pushes; for friction see `apply_friction`."""
+        force, low, (gap, share) = Generalised.zeros(self.model), self.model.lower_node, self._gaps(state)
+        on_ball = (self.normal_force(state) / np.linalg.norm(gap, axis=1))[:, None] * gap
+        force.ball[:] = self.ball.force + on_ball.sum(axis=0)
+        for node, part in ((low, 1.0 - share), (low + 1, share)):
             np.subtract.at(force.node, node, part[:, None] * on_ball)
         return force
+
+    def apply_friction(self, state: RodState, normal: FloatArray, push: FloatArray, dt: float) -> RodState:
+        """Return the state with the velocities that friction leaves.
+
+        Parameters
+        ----------
+        state
+            Places at which forces are taken, and velocities that all else leaves.
+        normal
+            Normal forces [N], shape (n_elem,).
+        push
+            What a unit force adds to the velocity of a node in a step [s/kg], shape (n_node,).
+        dt
+            Time step [s].
+        """
+        ball, n_node, (gap, share) = self.ball, self.model.n_node, self._gaps(state)
+        touching = np.flatnonzero(normal > 0.0)
+        # Slip of each touch by the velocities of all nodes, of the ball, and its spin.
+        slip = np.zeros((len(touching), 3, n_node + 2, 3))
+        for own, element in zip(slip, touching, strict=True):
+            n, low = gap[element] / np.linalg.norm(gap[element]), self.model.lower_node[element]
+            along = np.eye(3) - np.outer(n, n)
+            own[:, low], own[:, low + 1] = (share[element] - 1.0) * along, -share[element] * along
+            own[:, n_node], own[:, n_node + 1] = along, along @ np.cross(gap[element], np.eye(3)).T
+        slips = slip.reshape(-1, 3 * (n_node + 2))
+        speed = np.concatenate([state.velocity, state.ball_velocity, state.ball_omega]).ravel()
+        pushes = np.repeat([*push, dt / ball.mass, dt / ball.inertia], 3)
+        friction = _least(slips * pushes @ slips.T, slips @ speed, ball.friction * normal[touching])
+        after = (speed + pushes * (slips.T @ friction)).reshape(-1, 3)
+        return replace(
+            state, velocity=after[:n_node], ball_velocity=after[n_node : n_node + 1], ball_omega=after[n_node + 1 :]
+        )
+
+
+def _least(delassus: FloatArray, slip: FloatArray, most: FloatArray) -> FloatArray:
+    """Least F.W F / 2 + F.u with a size of at most `most` [N] at each of n touches, shape (3 n,)."""
+    if not most.any():
+        return np.zeros_like(slip)
+    friction, step = np.zeros((len(most), 3)), 1.0 / float(np.linalg.eigvalsh(delassus)[-1])
+    for _ in range(_MAX_DESCENTS):
+        before = friction
+        friction = before - step * (delassus @ before.ravel() + slip).reshape(-1, 3)
+        friction *= np.minimum(1.0, most / np.maximum(np.linalg.norm(friction, axis=1), np.finfo(float).tiny))[:, None]
+        if np.abs(friction - before).max() <= _DESCENDED * most.max():
+            break
+    return friction.ravel()
 
 
 @dataclass(frozen=True)

@@ -145,7 +145,8 @@ class Law(ABC):
     def force(self, state: RodState, tension: FloatArray) -> Generalised:
         """Return forces and couples in a state by the plain formula, with which tests compare the engines.
 
-        Tensions [N] have the shape (n_muscle,). Friction is apart: it is no force of a state.
+        Tensions [N] have the shape (n_muscle,). Friction is apart, as it is no force of a state: see `apply_friction`
+        of ground and ball.
         """
 
 
