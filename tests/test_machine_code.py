@@ -10,10 +10,12 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numba
 import pytest
 
-from lattice_gym.engines.fused.kernels import compiling
+from lattice_gym.engines.fused.kernels import compiling, elasticity
 
 FOLDER = Path(compiling.__file__).parent
 PACKAGE = FOLDER.parents[2]
@@ -40,6 +42,13 @@ def python(code: str, folder: Path, **environment: str) -> subprocess.CompletedP
     return done
 
 
+def called_anew() -> str:
+    """Do in this process what `CALL` does in one of its own: a function made anew looks for its code on the disk."""
+    function: Any = elasticity.force_along_d3
+    made: Any = compiling.compiled(function.py_func)
+    return f"{made(2.0, 1.0, 0.0, 1.0, 2.0)} {len(made.stats.cache_hits)}\n"
+
+
 @pytest.fixture(scope="module")
 def install(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with a copy of the package, where nothing was compiled and nothing can be kept beside the sources."""
@@ -49,12 +58,21 @@ def install(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_no_edit_runs_stale_machine_code(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def compiled_install(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with a copy of the package, with machine code beside the sources; tests that change it copy it first."""
+    path = tmp_path_factory.mktemp("compiled")
+    shutil.copytree(PACKAGE, path / PACKAGE.name, ignore=shutil.ignore_patterns("__pycache__", "benchmarks"))
+    assert python(CALL, path).stdout == COMPILED
+    return path
+
+
+def test_no_edit_runs_stale_machine_code(compiled_install: Path, tmp_path: Path) -> None:
     """What is compiled of one file is kept, and is compiled anew when a helper in another file was edited."""
-    shutil.copytree(PACKAGE, tmp_path / PACKAGE.name, ignore=shutil.ignore_patterns("__pycache__", "benchmarks"))
+    shutil.copytree(compiled_install, tmp_path, dirs_exist_ok=True)
     folder = tmp_path / FOLDER.relative_to(PACKAGE.parent)
     helper = folder / "arithmetic.py"
-    assert [python(CALL, tmp_path).stdout for _ in range(2)] == [COMPILED, LOADED]
+    assert python(CALL, tmp_path).stdout == LOADED
     (folder / "__pycache__" / "elasticity.force_along_d3-0-0.nbc.1234.part").touch()  # left by a killed process
     helper.write_text(helper.read_text().replace("builder.fma(*values)", "builder.fneg(builder.fma(*values))"))
     assert python(CALL, tmp_path).stdout == "-2.0 0\n"
@@ -95,13 +113,11 @@ def test_kept_in_the_users_folder(install: Path, tmp_path: Path) -> None:
     assert runs[1].stderr == ""
 
 
-def test_installed_with_machine_code(tmp_path: Path) -> None:
+def test_installed_with_machine_code(compiled_install: Path) -> None:
     """Where somebody who may write compiled before, nobody else has to, though they may only read."""
-    shutil.copytree(PACKAGE, tmp_path / PACKAGE.name, ignore=shutil.ignore_patterns("__pycache__", "benchmarks"))
-    python(CALL, tmp_path)
     read_only = "import pathlib\ndef refuse(*_, **__): raise PermissionError('read-only')\n"
     read_only += "pathlib.Path.mkdir = pathlib.Path.write_bytes = pathlib.Path.unlink = refuse\n"
-    assert python(read_only + CALL, tmp_path).stdout == LOADED
+    assert python(read_only + CALL, compiled_install).stdout == LOADED
 
 
 def test_full_disk(tmp_path: Path) -> None:
@@ -119,27 +135,24 @@ def _flip(content: bytes) -> bytes:
     return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
 
 
+def _something_else(content: bytes) -> bytes:
+    """Make a whole file of something else, as another build of numba might leave."""
+    code = pickle.dumps(("not", "code"))
+    return hashlib.sha256(code).digest() + code
+
+
 @pytest.mark.parametrize(
     "damage",
-    [lambda content: b"", lambda content: content[:-1], lambda content: b"\0" * len(content), _flip],
-    ids=["empty", "cut short", "zeros", "one bit"],
+    [lambda content: b"", lambda content: content[:-1], lambda content: b"\0" * len(content), _flip, _something_else],
+    ids=["empty", "cut short", "zeros", "one bit", "something else"],
 )
-def test_damage_is_mended(damage: Callable[[bytes], bytes], tmp_path: Path) -> None:
-    """A damaged file is compiled anew and is whole for the next process."""
-    assert python(CALL, tmp_path, NUMBA_CACHE_DIR=str(tmp_path)).stdout == COMPILED
+def test_damage_is_mended(damage: Callable[[bytes], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A damaged file, or one that numba refuses, is compiled anew and is whole for the next who looks for it."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    assert [called_anew() for _ in range(2)] == [COMPILED, LOADED]
     (file,) = tmp_path.rglob(NAME)
     file.write_bytes(damage(file.read_bytes()))
-    runs = [python(CALL, tmp_path, NUMBA_CACHE_DIR=str(tmp_path)) for _ in range(2)]
-    assert [run.stdout for run in runs] == [COMPILED, LOADED]
-
-
-def test_what_numba_refuses_is_compiled_anew(tmp_path: Path) -> None:
-    """A whole file of something else, as another build of numba might leave."""
-    assert python(CALL, tmp_path, NUMBA_CACHE_DIR=str(tmp_path)).stdout == COMPILED
-    (file,) = tmp_path.rglob(NAME)
-    code = pickle.dumps(("not", "code"))
-    file.write_bytes(hashlib.sha256(code).digest() + code)
-    assert python(CALL, tmp_path, NUMBA_CACHE_DIR=str(tmp_path)).stdout == COMPILED
+    assert [called_anew() for _ in range(2)] == [COMPILED, LOADED]
 
 
 def test_other_code_keeps_its_own_cache(tmp_path: Path) -> None:
