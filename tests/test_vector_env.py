@@ -145,6 +145,7 @@ def test_autoreset_modes(id: str, mode: AutoresetMode) -> None:
     assert ends <= {(True, False, True), (False, True, False)}
 
 
+@pytest.mark.filterwarnings("ignore:hill.* the physics step")
 @pytest.mark.parametrize("task", ["bending", "transport", "crawl"])
 def test_anything_at_once(task: str) -> None:
     """In a world, on lines or rods, with Hill's laws, checks and few groups."""
