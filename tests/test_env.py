@@ -69,14 +69,15 @@ def test_ids(id: str) -> None:
 @pytest.mark.parametrize("id", list(IDS)[1:])
 def test_gymnasium_checker(id: str) -> None:
     """No warning (all warnings are errors here), rendering included."""
-    check_env(bare_env(id, render_mode="rgb_array"))
+    check_env(bare_env(id, fidelity="fast", render_mode="rgb_array"))
 
 
 @pytest.mark.parametrize("id", list(IDS)[1:])
 @pytest.mark.parametrize("control", ["muscle", "ring"])
 def test_stable_baselines_checker(id: str, control: str) -> None:
     """As training wraps it; the checker looks at spaces and types, not at numbers."""
-    env = RescaleAction(gymnasium.make(id, control=control, rhythm=1.0), np.float32(-1.0), np.float32(1.0))
+    worm = gymnasium.make(id, fidelity="fast", control=control, rhythm=1.0)
+    env = RescaleAction(worm, np.float32(-1.0), np.float32(1.0))
     check_env_sb3(env)
     assert isinstance(env.action_space, gymnasium.spaces.Box)
     assert (env.action_space.low == -1.0).all()
@@ -103,7 +104,7 @@ def test_importing_is_light_and_registers() -> None:
 @pytest.mark.parametrize("id", list(IDS)[1:])
 def test_rewards_sum_exactly(id: str) -> None:
     """To the last bit, and the info has what it should."""
-    env = gymnasium.make(id)
+    env = gymnasium.make(id, fidelity="fast")
     for _, reward, _, _, info in episode(env, 25)[1:]:
         assert reward == sum(info["reward_terms"].values())
         assert set(info) == {"reward_terms", "outcome", "status", "clipped_actions", "clipped_observations"}
@@ -117,13 +118,13 @@ def test_rewards_sum_exactly(id: str) -> None:
 @pytest.mark.parametrize("points", ["sites", "nodes"])
 def test_observations(id: str, points: str) -> None:
     """They share no memory, stay inside their space, and only what is commanded is constant over an episode."""
-    env = bare_env(id, observation=[points, "activation", "command", "clock"], rhythm=1.3)
+    env = bare_env(id, fidelity="fast", observation=[points, "activation", "command", "clock"], rhythm=1.3)
     steps = episode(env, 30)
     seen = np.array([step[0] for step in steps])
     assert seen.dtype == np.float32
     assert all(step[0] in env.observation_space for step in steps)
     assert not any(np.shares_memory(a[0], b[0]) for a, b in pairwise(steps))
-    n_free = {"sites": 54, "nodes": 492} if env.design.base == "free" else {"sites": 48, "nodes": 480}
+    n_free = {"sites": 54, "nodes": 204} if env.design.base == "free" else {"sites": 48, "nodes": 192}
     n_moving, n_action = 6 * n_free[points], env.action_space.shape[0]
     assert seen.shape[1] == n_moving + n_action + len(env.task.bounds) + 2
     constant = np.flatnonzero(np.ptp(seen, axis=0) == 0.0) - n_moving - n_action

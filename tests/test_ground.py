@@ -134,7 +134,7 @@ def crawl(env: LatticeWormEnv, n_step: int) -> Iterator[FloatArray]:
 
 
 def test_engines_agree_on_a_crawl() -> None:
-    """The task's own world, for half a second: 1e-6 m, and an energy that closes.
+    """The task's own world, for a quarter of a second: 1e-6 m, and an energy that closes.
 
     The mesh is coarse, for the sake of time. What the law leaves, see `energy`, is up to a hundredth of what was
     dissipated, as in the air.
@@ -145,7 +145,7 @@ def test_engines_agree_on_a_crawl() -> None:
     start, residual, dissipated = env.state, 0.0, 0.0
     for engine in (fused, reference):
         engine.restore(start)
-    for pull in crawl(env, 10):
+    for pull in crawl(env, 5):
         assert fused.advance(pull, env.n_substeps).ok
         assert reference.advance(pull, env.n_substeps).ok
         entry = fused.ledger
@@ -159,7 +159,7 @@ def test_engines_agree_on_a_crawl() -> None:
 
 
 def test_the_momentum_of_a_crawl_closes() -> None:
-    """Weight less buoyancy, damping and the ground are all that changes momentum, in every step of a second.
+    """Weight less buoyancy, damping and the ground are all that changes momentum, in every step of a quarter of a second.
 
     The same step without friction tells what friction meets: a node's slip, of which Coulomb's law takes what it can.
     """
@@ -172,7 +172,7 @@ def test_the_momentum_of_a_crawl_closes() -> None:
     weight = dt * model.node_weight.sum(axis=0)
     engine.restore(env.state)
     now, largest, error, sticks = env.state, np.zeros(3), np.zeros(3), 0
-    for pull in crawl(env, 20):
+    for pull in crawl(env, 5):
         for step in range(env.n_substeps):
             tension = pull[0] + (pull[1] - pull[0]) * ((step + 0.5) / env.n_substeps)
             free.restore(now)
