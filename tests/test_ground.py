@@ -159,7 +159,7 @@ def test_engines_agree_on_a_crawl() -> None:
 
 
 def test_the_momentum_of_a_crawl_closes() -> None:
-    """Weight less buoyancy, damping and the ground are all that changes momentum, in every step of a quarter of a second.
+    """Weight less buoyancy, damping and the ground are all that changes momentum, in every step of a quarter second.
 
     The same step without friction tells what friction meets: a node's slip, of which Coulomb's law takes what it can.
     """
