@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from agents.command_line import as_program, options
+from agents.command_line import as_program, command, options
 from agents.config import TrainConfig
 from agents.run_folder import Run
 from agents.training import resume_settings, train
@@ -25,7 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if config.resume is not None:
         config = options(TrainConfig, NAME, arguments, resume_settings(config.resume))
     run = train(config)
-    print(f"run folder: {run}; score it with: python -m agents.evaluation {run}{Run.open(run).allowance}")
+    score = command("python", "-m", "agents.evaluation", run) + Run.open(run).allowance
+    print(f"run folder: {run}; score it with: {score}")
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ from agents.environments import Env, make_env, make_vector_env
 from agents.training import new_model
 from lattice_gym.checks import checked, count, flag, items, whole
 from lattice_gym.engines.base import Engine
+from lattice_gym.recording.files import prepare
 from lattice_gym.recording.provenance import footer
 
 PARTS = ("physics", "environment", "adapter", "policy", "update")
@@ -143,6 +144,7 @@ def learning_split(model: PPO, steps: int) -> Measured:
 def benchmark(config: BenchmarkConfig, command: str = "") -> dict[str, Any]:
     """Measure, write the report and return it; each list of `measured` has a figure for every repeat."""
     torch.set_num_threads(config.train.torch_threads)
+    prepare(config.output.parent)
     arguments = run_folder.requested_arguments(config.train)
     single: list[float] = []
     figures: list[dict[str, list[float]]] = [{} for _ in config.runs]

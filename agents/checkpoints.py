@@ -39,7 +39,7 @@ def files(model: PPO) -> Mapping[str, Callable[[Path], object]]:
         for moment in MOMENTS
     }
     return {
-        run_folder.MODEL: model.save,
+        run_folder.MODEL: lambda path: path.write_bytes(_saved(model)),
         run_folder.NORMALISATION: lambda path: write_archive(path, {}, moments),
     }
 
@@ -87,6 +87,13 @@ def read_normalisation(folder: Path) -> dict[str, FloatArray]:
         }
 
     return read_file(folder / run_folder.NORMALISATION, read)
+
+
+def _saved(model: PPO) -> bytes:
+    """Content of model.zip; written from memory, as torch tells of a full disk in a way of its own."""
+    content = io.BytesIO()
+    model.save(content)
+    return content.getvalue()
 
 
 def _normaliser(model: PPO) -> VecNormalize:

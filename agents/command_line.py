@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import io
+import os
+import shlex
 import signal
+import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 from typing import TypeVar
 
 import tyro
 
 from agents.config import InputError
+from lattice_gym.recording.files import reason
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 """What ctrl-C, a batch system or make send to end a program."""
@@ -74,14 +80,29 @@ def _stop(number: int) -> None:
     raise Stopped(number)
 
 
+def command(*words: str | Path) -> str:
+    """Command to copy into a shell, whatever characters are in a path of it."""
+    safe = [f".{os.sep}{word}" if isinstance(word, Path) and str(word).startswith("-") else str(word) for word in words]
+    return subprocess.list2cmdline(safe) if os.name == "nt" else shlex.join(safe)
+
+
 @contextmanager
 def as_program() -> Iterator[None]:
-    """End with a line of text, not a traceback, on an InputError (status 1) or a signal (128 and its number)."""
+    """End with a line of text, not a traceback.
+
+    On an InputError or what the system refuses, as on a full disk, the status is 1; on a signal 128 and its number.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # not every path can be written in every encoding
     with on_signal(_stop):
         try:
             yield
         except InputError as error:
             sys.exit(f"error: {error}")
+        except OSError as error:
+            if error.errno is None:
+                raise
+            sys.exit(f"error: {reason(error)}")
         except Stopped as stopped:
             print(stopped, file=sys.stderr, flush=True)
             sys.exit(128 + stopped.number)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 import time
 from collections.abc import Mapping
@@ -17,6 +16,7 @@ from agents.rollouts import export
 from agents.run_folder import Run
 from agents.training import train
 from lattice_gym.policies.evaluation import Score
+from lattice_gym.recording import files
 from lattice_gym.rendering.extras import extra
 
 SETTINGS = TrainConfig(total_steps=150_000, seed=1, time_limit=240.0)
@@ -39,10 +39,11 @@ def demo(
     settings = settings.resolved()
     if video:
         _need_video()
-    if fresh and path.exists():
+    if fresh and path.exists() and not run_folder.is_empty(path):
         if not (path / run_folder.CONFIG).is_file():
             raise InputError(f"{path}: not a run folder, so not deleted; move it away by hand")
-        shutil.rmtree(path)
+        with files.claimed(path):
+            run_folder.clear(path)
     _train(path, settings)
     print("\nevaluating on seeds that training never saw ...", flush=True)
     scores = evaluate(path, episodes, command="python -m agents.demo")
@@ -66,7 +67,7 @@ def _need_video() -> None:
 
 def _train(path: Path, settings: TrainConfig) -> None:
     """Train in `path` what is left of the settings' steps, after a line that says what was there."""
-    if not path.exists():
+    if not (path / run_folder.VERSIONS).exists():  # new, empty, or killed while it was made
         train(replace(settings, run_dir=path))
         return
     known = Run.open(path)

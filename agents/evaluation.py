@@ -24,6 +24,7 @@ from lattice_gym.policies.base import EVALUATION_SEED, Policy
 from lattice_gym.policies.baselines import DoNothing, GaitPolicy, NoGaitError, RandomActions
 from lattice_gym.policies.evaluation import Score
 from lattice_gym.policies.evaluation import evaluate as score
+from lattice_gym.recording.files import prepare
 
 PolicyName = Literal["policy", "gait", "nothing", "random"]
 POLICIES: dict[PolicyName, str] = {
@@ -60,6 +61,7 @@ def evaluate(
     with input_errors():
         episodes, seed = whole("episodes", episodes, 1), whole("seed", seed, 0)
     source = open_source(path).at(fidelity)
+    prepare(report_file(source, fidelity).parent)
     trained = policy_of(source)
     seeds = range(seed, seed + episodes)
     for first, last in trained.origin.get("seeds", ()):

@@ -21,9 +21,9 @@ from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.policies.base import EVALUATION_SEED
 from lattice_gym.policies.baselines import NoGaitError
 from lattice_gym.policies.recording import record as record_policy
-from lattice_gym.recording.files import replacing
+from lattice_gym.recording.files import prepare
 from lattice_gym.recording.trajectory import Trajectory
-from lattice_gym.rendering.figures import plot_activation
+from lattice_gym.rendering.figures import plot_activation, save
 from lattice_gym.rendering.video import render_video
 
 GIF_SIZE = (480, 360)
@@ -81,6 +81,7 @@ def export(
         source.place(run_folder.at_fidelity("learning_curve.png", fidelity)) if isinstance(source, Run) else None,
         None if gif is None else source.place(f"{stem}.gif"),
     )
+    prepare(files.trajectory.parent)
     if isinstance(source, Run) and files.learning_curve is not None:
         plot_learning_curve(source, files.learning_curve, fidelity)
     trajectory = record(source, policy, seed)
@@ -134,8 +135,7 @@ def plot_learning_curve(run: Run, path: Path, fidelity: FidelityName | None = No
     axes.set_title(f"{run.config.task}, control by {run.config.resolved_control}, seed {run.config.seed}")
     axes.legend(loc="best", fontsize="small")
     axes.grid(alpha=0.3)
-    with replacing(path) as partial:
-        figure.savefig(partial, dpi=150)
+    save(figure, path, dpi=150)
 
 
 def evaluated_returns(run: Run, fidelity: FidelityName | None = None) -> dict[str, float]:

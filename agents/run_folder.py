@@ -1,7 +1,7 @@
-"""The run folder: what training leaves on disk, and how it is read back.
+"""The run folder: what training leaves on disk, how it is made and read back.
 
-config.json      settings (`TrainConfig.to_dict`)
-versions.json    Python, packages and commit of every session that trained the run
+config.json      settings (`TrainConfig.to_dict`); the first file of a run that is made in a folder that was there
+versions.json    Python, packages and commit of every session that trained the run; the last: with it the run is whole
 design.json      LatticeDesign
 muscles.json     MuscleLayout
 environment.json further arguments of the environment, if any were given
@@ -22,9 +22,11 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import errno
+import io
+import itertools
 import json
 import os
-import shutil
 import subprocess
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -39,7 +41,7 @@ from lattice_gym.body.muscles import MuscleLayout, resolve_layout
 from lattice_gym.checks import choice, code_names, whole, without_imports
 from lattice_gym.envs.fidelity import FidelityName
 from lattice_gym.envs.scene import Scene
-from lattice_gym.recording.files import replacing
+from lattice_gym.recording import files
 from lattice_gym.recording.provenance import PACKAGES, provenance
 from lattice_gym.tasks.registry import resolve_task
 
@@ -117,6 +119,9 @@ class Run(Source):
         layout = read_file(path / MUSCLES, lambda file: resolve_layout(_parse_json(file), build_lattice(design)))
         file = path / ENVIRONMENT
         further = read_environment(file) if file.exists() else {}
+        if not (path / VERSIONS).exists():
+            cut_short = "the run was killed while it was made; make it again with the same --run-dir"
+            raise InputError(f"{path / VERSIONS}: no such file: {cut_short}")
         return cls(path=path, config=config, env_arguments=env_arguments(config, design, layout, further))
 
     def rows(self) -> list[dict[str, float]]:
@@ -126,21 +131,20 @@ class Run(Source):
     @property
     def steps(self) -> int:
         """Environment steps of the newest checkpoint; 0 before the first."""
-        checkpoints = self.checkpoints()
-        return int(checkpoints[0].name) if checkpoints else 0
+        known = self.checkpoints()
+        return int(known[0].name) if known else 0
 
     @property
     def newest(self) -> Path:
         """Folder of the newest checkpoint; raises InputError before the first."""
-        checkpoints = self.checkpoints()
-        if not checkpoints:
+        known = self.checkpoints()
+        if not known:
             raise InputError(f"{self.path / CHECKPOINTS}: no checkpoint yet")
-        return checkpoints[0]
+        return known[0]
 
     def checkpoints(self) -> list[Path]:
         """Folders of the complete checkpoints, newest first."""
-        folders = (self.path / CHECKPOINTS).glob("[0-9]*")
-        return sorted((f for f in folders if f.name.isdigit()), key=lambda folder: int(folder.name), reverse=True)
+        return checkpoints(self.path)
 
 
 def env_arguments(
@@ -187,34 +191,97 @@ def at_fidelity(name: str, fidelity: FidelityName | None) -> str:
     return name if fidelity is None else f"{path.stem}-{fidelity}{path.suffix}"
 
 
-def save_checkpoint(run: Path, steps: int, files: Mapping[str, Callable[[Path], object]]) -> None:
+def make(path: Path, contents: Mapping[str, object]) -> None:
+    """Make a run folder of JSON files by name, whole or not at all, in a new place or in a folder that is empty.
+
+    What is there cannot be replaced at once, as it may be where a disk is mounted: config.json is written first and
+    versions.json last, and a run that has the first alone was killed meanwhile and is made anew. FileExistsError where
+    something else is in the folder.
+    """
+    in_order = sorted(contents.items(), key=lambda item: (item[0] == VERSIONS, item[0] != CONFIG))
+    if not os.path.lexists(path):
+        with files.replacing(path) as folder:
+            folder.mkdir()
+            for name, values in in_order:
+                write_json(folder / name, values)
+        return
+    if not path.is_dir():
+        raise FileExistsError(errno.EEXIST, "is no folder", str(path))
+    with files.claimed(path):
+        if _is_half_made(path):
+            clear(path)
+        if not is_empty(path):
+            raise FileExistsError(errno.EEXIST, "is not empty", str(path))
+        for name, values in in_order:
+            write_json(path / name, values)
+
+
+def clear(path: Path) -> None:
+    """Delete all that a run folder holds, but not itself.
+
+    One that is half cleared is a run that has fewer checkpoints, or none, or one that was killed while it was made.
+    """
+    order = {VERSIONS: 1, DESIGN: 2, MUSCLES: 2, ENVIRONMENT: 2, CONFIG: 3}
+    for name in sorted(_names(path), key=lambda name: order.get(name, 0)):
+        files.discard(path / name)
+
+
+def is_empty(path: Path) -> bool:
+    """Whether a folder holds nothing, as an empty disk does that is mounted there."""
+    return path.is_dir() and not _names(path)
+
+
+def _names(path: Path) -> set[str]:
+    return {entry.name for entry in files.content(path)} - {"lost+found"}
+
+
+def _is_half_made(path: Path) -> bool:
+    """Whether a folder holds what `make` or `clear` leaves when it is killed, and nothing else."""
+    names = _names(path)
+    if CONFIG not in names or not names <= {CONFIG, DESIGN, MUSCLES, ENVIRONMENT}:
+        return False
+    with contextlib.suppress(InputError):
+        read_file(path / CONFIG, _parse_settings)
+        return True
+    return False
+
+
+def save_checkpoint(run: Path, steps: int, contents: Mapping[str, Callable[[Path], object]]) -> None:
     """Write one checkpoint whole or not at all, and drop the oldest.
 
-    `files` maps a file name to what writes that file.
+    `contents` maps a file name to what writes that file.
     """
     folder = run / CHECKPOINTS / f"{steps:012d}"
-    unfinished = folder.with_name(f"unfinished-{folder.name}")
-    shutil.rmtree(unfinished, ignore_errors=True)
-    for name, write in files.items():
-        write_whole(unfinished / name, write)
-    shutil.rmtree(folder, ignore_errors=True)
-    unfinished.rename(folder)
-    for old in sorted(folder.parent.glob("[0-9]*"))[:-_KEPT]:
-        shutil.rmtree(old)
+    if folder.exists():
+        files.discard(folder)
+    with files.replacing(folder) as unfinished:
+        unfinished.mkdir()
+        for name, write in contents.items():
+            write(unfinished / name)
+    for old in checkpoints(run)[_KEPT:]:
+        with contextlib.suppress(PermissionError):  # Windows has it while another process reads it
+            files.discard(old)
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file whole or not at all, its folder if need be: beside its place, to the disk, then renamed."""
-    with replacing(path) as unfinished:
-        write(unfinished)
-        with unfinished.open("rb") as file:
-            os.fsync(file.fileno())
+def set_aside(checkpoint: Path) -> Path:
+    """Rename a damaged checkpoint, which is kept for inspection; its new place."""
+    for number in itertools.count(1):
+        aside = checkpoint.with_name(f"damaged-{checkpoint.name}{f'-{number}' if number > 1 else ''}")
+        if not aside.exists():
+            return checkpoint.rename(aside)
+    raise AssertionError
+
+
+def checkpoints(run: Path) -> list[Path]:
+    """Folders of the complete checkpoints of a run folder, newest first."""
+    folders = (run / CHECKPOINTS).glob("[0-9]*")
+    named = (folder for folder in folders if folder.name.isdecimal())
+    return sorted(named, key=lambda folder: int(folder.name), reverse=True)
 
 
 def write_json(path: Path, values: object) -> None:
     """Write JSON whole or not at all; NaN is an error."""
-    text = json.dumps(values, indent=1, allow_nan=False) + "\n"
-    write_whole(path, lambda unfinished: unfinished.write_text(text, encoding="utf-8"))
+    files.write(path, (json.dumps(values, indent=1, allow_nan=False) + "\n").encode())
 
 
 def read_environment(path: Path) -> dict[str, Any]:
@@ -271,14 +338,11 @@ def read_rows(path: Path) -> list[dict[str, float]]:
 def write_rows(path: Path, rows: list[dict[str, float]]) -> None:
     """Write `read_rows`' rows whole or not at all; a column for every name in any row."""
     names = list(dict.fromkeys(name for row in rows for name in row))
-
-    def write(unfinished: Path) -> None:
-        with unfinished.open("w", newline="", encoding="utf-8") as file:
-            table = csv.DictWriter(file, names)
-            table.writeheader()
-            table.writerows(rows)
-
-    write_whole(path, write)
+    text = io.StringIO(newline="")
+    table = csv.DictWriter(text, names)
+    table.writeheader()
+    table.writerows(rows)
+    files.write(path, text.getvalue().encode())
 
 
 def made_by(command: str) -> dict[str, Any]:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import fields, replace
 from datetime import datetime
 from pathlib import Path
@@ -13,18 +17,19 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from tqdm import tqdm
 
 from agents import checkpoints, run_folder
-from agents.command_line import LINE_EVERY, Stopped, on_signal
+from agents.command_line import LINE_EVERY, Stopped, command, on_signal
 from agents.config import OBSERVATION_CLIP, OBSERVATION_EPSILON, InputError, TrainConfig
 from agents.environments import make_env, make_vector_env
-from agents.run_folder import Run
+from agents.logs import Board, ProgressTable
+from agents.run_folder import Run, set_aside
 from lattice_gym.policies.evaluation import gather
-from lattice_gym.recording.files import replacing
+from lattice_gym.recording import files
 
 _DIVERGED = "worm/diverged_episodes"
 _NEW_ONLY = ("design", "muscles", "environment", "run_dir")
@@ -41,26 +46,29 @@ def train(config: TrainConfig) -> Path:
     began = time.monotonic()
     config = config.resolved()
     torch.set_num_threads(config.torch_threads)
-    run = create_run(config) if config.resume is None else reopen_run(config)
-    done = f"{run.path}: {run.steps} of {config.total_steps} steps done"
-    if run.steps >= config.total_steps:
-        print(f"{done}: nothing to do; raise --total-steps", flush=True)
-        return run.path
-    print(done, flush=True)
-    again = f"python train.py --resume {run.path}{run.allowance}"
+    path = create_run(config) if config.resume is None else config.resume
+    again = command("python", "train.py", "--resume", path) + Run.open(path).allowance
     try:
-        log = _run_training(run, config, began)
-        if log.signal is not None:
-            raise Stopped(log.signal)
+        with files.claimed(path):
+            run = Run.open(path) if config.resume is None else reopen_run(config)
+            files.prepare(path / run_folder.CHECKPOINTS)
+            done = f"{path}: {run.steps} of {config.total_steps} steps done"
+            if run.steps >= config.total_steps:
+                print(f"{done}: nothing to do; raise --total-steps", flush=True)
+                return path
+            print(done, flush=True)
+            log = _run_training(run, config, began, again)
+            if log.signal is not None:
+                raise Stopped(log.signal)
     except Stopped as stopped:
         raise Stopped(stopped.number, again) from None
     if log.stop_reason is not None and log.num_timesteps < config.total_steps:
         print(f"stopped by {log.stop_reason}; continue with: {again}", flush=True)
-    return run.path
+    return path
 
 
-def _run_training(run: Run, config: TrainConfig, began: float) -> TrainingLog:
-    """Log of the run after training; its last checkpoint is written."""
+def _run_training(run: Run, config: TrainConfig, began: float, again: str) -> TrainingLog:
+    """Log of the run after training, of which the last checkpoint is written; an OSError says how to go on."""
     print(f"starting {config.n_envs} worm{'s' if config.n_envs > 1 else ''}", flush=True)
     venv = make_vector_env(run.env_arguments, config.n_envs, config.num_threads)
     try:
@@ -71,31 +79,48 @@ def _run_training(run: Run, config: TrainConfig, began: float) -> TrainingLog:
             model.learn(config.total_steps - model.num_timesteps, callback=log, reset_num_timesteps=False)
             log.save()
         model.logger.close()
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, f"{error.strerror}; continue with: {again}", error.filename) from error
     finally:
         venv.close()
     return log
 
 
-def create_run(config: TrainConfig) -> Run:
+def create_run(config: TrainConfig) -> Path:
     """Make the run folder with everything but a model; raises InputError if it exists or the worm cannot be built."""
-    path = config.run_dir or Path("runs") / f"{config.task_class.name}-{config.seed}-{datetime.now():%Y%m%d-%H%M%S}"
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise InputError(f"run_dir = {path}: must be a new or empty folder; to continue that run give --resume {path}")
     arguments = run_folder.requested_arguments(config)
     env = make_env(arguments)
     worm: Any = env.unwrapped
     env.close()
     # As it was given: the worm's own has the mesh of the fidelity, from which another one could not tell this.
-    design = arguments["design"]
-    with replacing(path) as unfinished:
-        run_folder.write_json(unfinished / run_folder.DESIGN, design)
-        run_folder.write_json(unfinished / run_folder.MUSCLES, worm.layout.to_dict())
-        if config.environment is not None:
-            further = run_folder.read_environment(config.environment)
-            run_folder.write_json(unfinished / run_folder.ENVIRONMENT, further)
-        run_folder.write_json(unfinished / run_folder.VERSIONS, [run_folder.session(0)])
-        run_folder.write_json(unfinished / run_folder.CONFIG, config.to_dict())
-    return Run.open(path)
+    contents: dict[str, object] = {
+        run_folder.DESIGN: arguments["design"],
+        run_folder.MUSCLES: worm.layout.to_dict(),
+        run_folder.VERSIONS: [run_folder.session(0)],
+        run_folder.CONFIG: config.to_dict(),
+    }
+    if config.environment is not None:
+        contents[run_folder.ENVIRONMENT] = run_folder.read_environment(config.environment)
+    for path in _places(config):
+        with suppress(FileExistsError):
+            run_folder.make(path, contents)
+            return path
+    must = "must be a new or empty folder; to continue that run give --resume"
+    raise InputError(f"run_dir = {config.run_dir}: {must} {config.run_dir}")
+
+
+def _places(config: TrainConfig) -> Iterator[Path]:
+    """Run folders to try one after another: that which was given, or others until one is new."""
+    if config.run_dir is not None:
+        yield config.run_dir
+        return
+    task = re.sub(r"[^\w.-]", "-", config.task_class.name)[:100]
+    name = f"{task}-{config.seed}-{datetime.now():%Y%m%d-%H%M%S}"
+    yield Path("runs") / name
+    for number in itertools.count(2):
+        yield Path("runs") / f"{name}-{number}"
 
 
 def resume_settings(path: Path) -> TrainConfig:
@@ -178,7 +203,7 @@ def restored_model(run: Run, venv: VecEnv) -> PPO:
         model.num_timesteps = int(folder.name)
         model._n_updates = model.num_timesteps // (model.n_envs * model.n_steps) * model.n_epochs
         for other in damaged:
-            aside = other.rename(other.with_name(f"damaged-{other.name}"))
+            aside = set_aside(other)
             print(f"continuing from an older checkpoint, {folder}: the newer {aside} cannot be read", file=sys.stderr)
         model.set_random_seed(worm_seeds(run.config, model.num_timesteps)[0])
         path = run.path / run_folder.VERSIONS
@@ -197,7 +222,7 @@ class TrainingLog(BaseCallback):
         super().__init__()
         path = run.path / run_folder.PROGRESS
         rows = [row for row in run.rows() if row[run_folder.STEPS] <= model.num_timesteps] if path.exists() else []
-        board = TensorBoardOutputFormat(str(run.path / run_folder.TENSORBOARD))
+        board = Board(run.path / run_folder.TENSORBOARD)
         model.set_logger(Logger(str(run.path), [ProgressTable(path, rows), board]))
         self.model = model
         self.stop_reason: str | None = None
@@ -262,20 +287,3 @@ class TrainingLog(BaseCallback):
 
     def _on_training_end(self) -> None:
         self._bar.close()
-
-
-class ProgressTable(KVWriter):
-    """progress.csv, whole on the disk at any time; continues from the rows given."""
-
-    def __init__(self, path: Path, rows: list[dict[str, float]]) -> None:
-        self._path = path
-        self._rows = rows
-
-    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
-        """Add one row; `step` is in it as time/total_timesteps."""
-        values = filter_excluded_keys(key_values, key_excluded, "csv")
-        self._rows.append({name: float(value) for name, value in values.items()} | {run_folder.STEPS: step})
-        run_folder.write_rows(self._path, self._rows)
-
-    def close(self) -> None:
-        """Nothing is open between two rows."""

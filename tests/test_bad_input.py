@@ -12,6 +12,7 @@ import sys
 
 import bad_bodies
 import bad_environments
+import bad_files
 import bad_physics
 import bad_recordings
 import numpy as np
@@ -23,7 +24,8 @@ from junk import finite
 IN_TESTS = 250
 """Calls on each target in the tests."""
 
-TARGETS = [*bad_bodies.TARGETS, *bad_environments.TARGETS, *bad_physics.TARGETS, *bad_recordings.TARGETS]
+KINDS = (bad_bodies, bad_environments, bad_physics, bad_recordings, bad_files)
+TARGETS = [target for kind in KINDS for target in kind.TARGETS]
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)

@@ -15,6 +15,7 @@ import tyro
 
 from lattice_gym.checks import Parameters, checked, choice, count, items, number
 from lattice_gym.engines.registry import ENGINES, EngineName
+from lattice_gym.recording.files import prepare, reason
 
 _TENSION = partial(number, low=0.0, unit="N", above=True)
 
@@ -142,7 +143,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one report; exit status 1 where it shows a failure."""
     options = parse(arguments)
     report = resolve_name(f"lattice_gym.benchmarks.{MODULES[type(options.report)]}:report")
-    return 0 if report(options.out, command=command(options.report), **vars(options.report)) else 1
+    try:
+        prepare(options.out)
+        return 0 if report(options.out, command=command(options.report), **vars(options.report)) else 1
+    except OSError as error:
+        if error.errno is None:
+            raise
+        sys.exit(f"error: {reason(error)}")
 
 
 if __name__ == "__main__":

@@ -7,6 +7,8 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from lattice_gym.rendering import figures
+
 INK, GREY, PALE = "#22303c", "#7c8894", "#d5dde4"
 COLOURS = (
     *("#0b7fab", "#e4572e", "#2a9d5c", "#8e5bb5", "#d19a00", "#6b7a88"),
@@ -36,5 +38,4 @@ def dress(axes: Axes, title: str = "", x: str = "", y: str = "", note: str = "")
 
 def save(figure: Figure, path: Path) -> None:
     """Write the PNG."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
+    figures.save(figure, path, dpi=130)

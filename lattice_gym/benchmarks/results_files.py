@@ -9,16 +9,17 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from lattice_gym.recording import files
 from lattice_gym.recording.provenance import footer, provenance
 
 
 def write(folder: Path, name: str, result: dict[str, Any], parts: Sequence[str], command: str) -> None:
     """Write NAME.json and NAME.md, both with what `command` made them; prints the text as well."""
-    folder.mkdir(parents=True, exist_ok=True)
     made = provenance(command)
-    (folder / f"{name}.json").write_text(json.dumps(_finite(result | {"made": made}), indent=1, allow_nan=False) + "\n")
+    content = json.dumps(_finite(result | {"made": made}), indent=1, allow_nan=False) + "\n"
     text = "\n\n".join([*parts, footer(made)]) + "\n"
-    (folder / f"{name}.md").write_text(text)
+    files.write(folder / f"{name}.json", content.encode())
+    files.write(folder / f"{name}.md", text.encode())
     sys.stdout.write(text)
 
 

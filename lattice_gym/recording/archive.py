@@ -7,13 +7,12 @@ import json
 import os
 import zipfile
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lattice_gym.recording.files import replacing
+from lattice_gym.recording.files import checked_path, write
 
 META = "meta"
 """Name of the JSON text among the arrays."""
@@ -24,15 +23,17 @@ def write_archive(
 ) -> None:
     """Write an .npz file; it replaces a file of that name once it is complete."""
     members = {META: np.array(json.dumps(meta, allow_nan=False)), **arrays}
-    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+    content = io.BytesIO()  # where the disk is full, a half written archive cannot be closed
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, values in members.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 np.lib.format.write_array(file, np.asanyarray(values), allow_pickle=False)
+    write(path, content.getvalue())
 
 
 def read_members(path: str | os.PathLike[str]) -> dict[str, bytes]:
     """Members of a file by name, not yet interpreted; a ValueError names a file that is damaged or none of these."""
-    content = Path(path).read_bytes()
+    content = checked_path("path", path).read_bytes()
     try:
         # Members are unpacked whole, so that their checksums are compared before a byte of them is interpreted.
         with zipfile.ZipFile(io.BytesIO(content)) as archive:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ import numpy.typing as npt
 from lattice_gym.body.lattice import Lattice, build_lattice
 from lattice_gym.checks import FloatArray, array, require
 from lattice_gym.physics.assembly import RodModel
-from lattice_gym.recording.files import replacing
+from lattice_gym.recording.files import write
 from lattice_gym.recording.trajectory import Trajectory
 from lattice_gym.rendering import colours
 from lattice_gym.rendering.colours import activation_colour
@@ -74,7 +75,7 @@ def render_strip(
     if any(still.model.n_muscle for still in stills):
         bottom = (scale_bar + 0.3 * height) / up
         _colour_bar(figure, cax=figure.add_axes((1.0 - 0.62 / across, bottom, 0.1 / across, 0.4 * height / up)))
-    _save(figure, path, dpi)
+    save(figure, path, dpi)
 
 
 def round_length(most: float) -> float:
@@ -109,7 +110,7 @@ def plot_activation(trajectory: Trajectory, path: str | os.PathLike[str]) -> Non
         axes.spines[:].set_visible(False)
     rows[-1].set_xlabel("time [s]", fontsize=9)
     _colour_bar(figure, ax=rows, shrink=0.5, aspect=25)
-    _save(figure, path, 200)
+    save(figure, path, 200)
 
 
 def _edges(time: FloatArray) -> FloatArray:
@@ -136,6 +137,8 @@ def _colour_bar(figure: Any, **place: Any) -> None:
     bar.outline.set_visible(False)
 
 
-def _save(figure: Any, path: str | os.PathLike[str], dpi: int) -> None:
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=dpi)
+def save(figure: Any, path: str | os.PathLike[str], dpi: int) -> None:
+    """Write a figure of matplotlib as a PNG with so many pixels an inch."""
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=dpi)
+    write(path, content.getvalue())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import math
 import os
 from collections.abc import Callable, Iterator
@@ -15,7 +17,7 @@ import numpy.typing as npt
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.checks import FloatArray, IntArray, invalid_value, number
 from lattice_gym.physics.worm import build_model
-from lattice_gym.recording.files import replacing
+from lattice_gym.recording.files import checked_path, replacing
 from lattice_gym.recording.trajectory import Trajectory
 from lattice_gym.rendering.extras import extra
 from lattice_gym.rendering.scene import Renderer
@@ -41,12 +43,12 @@ def render_video(
     60 pictures a second (50 in a GIF, whose viewers slow down what is faster). A GIF counts time in hundredths of a
     second, so its pictures last a hundredth more or less where the rate asks for parts of one. Width and height must be
     even. ``progress`` is called with the numbers of pictures done and of all. The file appears under its name only once
-    it is complete.
+    it is complete; an OSError names it where it cannot be written.
     """
     speed = number("speed", speed, 1e-3, 1e3)
     if size[0] % 2 or size[1] % 2:
         raise invalid_value("size", size, "must be even, as the video's pixels share their colour in blocks of 2 x 2")
-    animated = Path(path).suffix.lower() == ".gif"
+    animated = checked_path("path", path).suffix.lower() == ".gif"
     if fps is not None:
         fps = number("fps", fps, 1.0, FASTEST_GIF if animated else 240.0, "pictures/s")
     shown, rate = schedule(trajectory.time, fps, speed, FASTEST_GIF if animated else FASTEST)
@@ -89,27 +91,46 @@ def _mp4(path: Path, size: tuple[int, int], rate: float) -> Iterator[Callable[[P
         "codec": "libx264",
         "pix_fmt_out": "yuv420p",
         "macro_block_size": 2,
+        "ffmpeg_log_level": "fatal",
         "quality": 7,
         "output_params": ["-movflags", "+faststart", "-f", "mp4"],
     }
     ffmpeg = extra("imageio_ffmpeg")
-    writer = ffmpeg.write_frames(str(path), size, **options)
+    # It takes "a:b.mp4" for a protocol and "-b.mp4" for an option, but no absolute path for either.
+    place = str(path.absolute())
+    writer = ffmpeg.write_frames(place, size, **options)
     writer.send(None)
     sent = 0
 
     def write(picture: Picture) -> None:
         nonlocal sent
-        writer.send(picture)
+        try:
+            writer.send(picture)
+        except OSError as error:
+            raise _why_ffmpeg_ended(path, sent) from error
         sent += 1
 
     try:
         yield write
     finally:
         writer.close()
-    # Where ffmpeg ends early, as on a full disk, the writer does not say so.
-    written, _ = ffmpeg.count_frames_and_secs(str(path))
+    # Where ffmpeg ends at the last pictures the writer does not say so.
+    try:
+        written, _ = ffmpeg.count_frames_and_secs(place)
+    except Exception as error:  # of whatever kind reading half a file gives
+        raise _why_ffmpeg_ended(path, sent) from error
     if written != sent:
-        raise RuntimeError(f"ffmpeg wrote {written} of {sent} pictures")
+        raise _why_ffmpeg_ended(path, written)
+
+
+def _why_ffmpeg_ended(path: Path, written: int) -> OSError:
+    """Return the error to raise where ffmpeg ended early: what writing to its file gives, as on a full disk."""
+    try:
+        with path.open("ab") as file:
+            file.write(bytes(1 << 20))
+    except OSError as error:
+        return error
+    return OSError(errno.EIO, f"ffmpeg ended after {written} pictures", str(path))
 
 
 @contextmanager
@@ -126,7 +147,9 @@ def _gif(path: Path, size: tuple[int, int], rate: float) -> Iterator[Callable[[P
     palette = some.quantize(96, image.Quantize.FASTOCTREE)
     few = [frame.quantize(palette=palette, dither=0) for frame in frames]
     durations = gif_durations(len(few), rate)
-    few[0].save(path, format="GIF", save_all=True, append_images=few[1:], duration=durations, loop=0)
+    content = io.BytesIO()
+    few[0].save(content, format="GIF", save_all=True, append_images=few[1:], duration=durations, loop=0)
+    path.write_bytes(content.getvalue())
 
 
 def gif_durations(count: int, rate: float) -> list[int]:
