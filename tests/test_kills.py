@@ -2,7 +2,7 @@
 
 `python tests/test_kills.py --count 200` kills that many times, in turn while training, evaluation, rollouts, exports
 and reports run, and prints what was found wrong. Half of the kills come at a random time. The others come at a random
-one of the calls that change the folder, or in the middle of a file that is being written. As a test each is killed once.
+one of the calls that change the folder, or in the middle of a file that is being written. As a test: once each.
 """
 
 from __future__ import annotations
