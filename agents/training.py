@@ -23,6 +23,7 @@ from agents.command_line import LINE_EVERY, Stopped, on_signal
 from agents.config import OBSERVATION_CLIP, OBSERVATION_EPSILON, InputError, TrainConfig
 from agents.environments import make_env, make_vector_env
 from agents.run_folder import Run
+from lattice_gym.engines.health import Status
 from lattice_gym.policies.evaluation import gather
 from lattice_gym.recording.files import replacing
 
@@ -236,7 +237,7 @@ class TrainingLog(BaseCallback):
         for info, done in zip(self.locals["infos"], self.locals["dones"], strict=True):
             if done:
                 self._finished.append(info)
-                self._diverged += info["status"] != "ok"
+                self._diverged += info["status"] != Status.OK
         self._bar.update(self.locals["env"].num_envs)
         return self.stop_reason is None and self.signal is None
 

@@ -1,4 +1,4 @@
-"""Worms of a vector environment, as Stable-Baselines3 takes them; needs the extra "train".
+"""Worms of a vector environment, as Stable-Baselines3 takes them; needs the extra "sb3".
 
 The one module of this package that imports Stable-Baselines3, and nothing else here imports it.
 """
@@ -57,6 +57,7 @@ class WormVecEnv(VecEnv):
         assert isinstance(envs.single_action_space, spaces.Box)
         actions, _, self._own_actions = rescale_box(envs.single_action_space, np.float32(-1.0), np.float32(1.0))
         super().__init__(envs.num_envs, envs.single_observation_space, actions)
+        self.metadata, self.spec = dict(envs.metadata), envs.spec
         self._task = bare.scene.task
         self._has_goals = isinstance(envs.single_observation_space, spaces.Dict)
         self._returns = np.zeros(self.num_envs)
