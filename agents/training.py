@@ -28,6 +28,7 @@ from agents.config import OBSERVATION_CLIP, OBSERVATION_EPSILON, InputError, Tra
 from agents.environments import make_env, make_vector_env
 from agents.logs import Board, ProgressTable
 from agents.run_folder import Run, set_aside
+from lattice_gym.engines.health import Status
 from lattice_gym.policies.evaluation import gather
 from lattice_gym.recording import files
 
@@ -261,7 +262,7 @@ class TrainingLog(BaseCallback):
         for info, done in zip(self.locals["infos"], self.locals["dones"], strict=True):
             if done:
                 self._finished.append(info)
-                self._diverged += info["status"] != "ok"
+                self._diverged += info["status"] != Status.OK
         self._bar.update(self.locals["env"].num_envs)
         return self.stop_reason is None and self.signal is None
 

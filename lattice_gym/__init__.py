@@ -22,8 +22,10 @@ from lattice_gym.body.muscles import (
     tie,
     vertical,
 )
+from lattice_gym.engines.health import Status
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.goal import LatticeWormGoalEnv, LatticeWormGoalVectorEnv
+from lattice_gym.envs.info import describe_status
 from lattice_gym.envs.registration import register_builtin_tasks, register_task
 from lattice_gym.envs.terms import ObservationTerm
 from lattice_gym.envs.vector import LatticeWormVectorEnv
@@ -63,9 +65,11 @@ __all__ = [
     "NetworkPolicy",
     "ObservationTerm",
     "RewardTerm",
+    "Status",
     "Task",
     "World",
     "build_lattice",
+    "describe_status",
     "design_for",
     "diagonal",
     "evaluate",

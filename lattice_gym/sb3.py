@@ -1,4 +1,4 @@
-"""Worms of a vector environment, as Stable-Baselines3 takes them; needs the extra "train".
+"""Worms of a vector environment, as Stable-Baselines3 takes them; needs the extra "sb3".
 
 The one module of this package that imports Stable-Baselines3, and nothing else here imports it.
 """
@@ -15,12 +15,16 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.utils import rescale_box
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from lattice_gym.checks import invalid_value, is_list
 from lattice_gym.envs.vector import LatticeWormVectorEnv
+
+try:
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+except ImportError as error:
+    raise ImportError(f'lattice_gym.sb3 needs {error.name}: pip install "stable-baselines3>=2.7"') from error
 
 
 class WormVecEnv(VecEnv):
@@ -57,6 +61,7 @@ class WormVecEnv(VecEnv):
         assert isinstance(envs.single_action_space, spaces.Box)
         actions, _, self._own_actions = rescale_box(envs.single_action_space, np.float32(-1.0), np.float32(1.0))
         super().__init__(envs.num_envs, envs.single_observation_space, actions)
+        self.metadata, self.spec = dict(envs.metadata), envs.spec
         self._task = bare.scene.task
         self._has_goals = isinstance(envs.single_observation_space, spaces.Dict)
         self._returns = np.zeros(self.num_envs)

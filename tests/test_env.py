@@ -24,8 +24,10 @@ import lattice_gym
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
+from lattice_gym.engines.health import Status
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.envs.info import STATUS
 from lattice_gym.physics.laws.activation import advance_activation
 from lattice_gym.physics.laws.ball import Ball
 from lattice_gym.physics.laws.ground import Ground
@@ -85,7 +87,7 @@ def test_stable_baselines_checker(id: str, control: str) -> None:
     env.reset(seed=0)
     observation, reward, terminated, truncated, info = env.step(env.action_space.high)
     assert observation in env.observation_space
-    assert (terminated, truncated, info["status"]) == (False, False, "ok")
+    assert (terminated, truncated, info["status"]) == (False, False, Status.OK)
     assert reward == sum(info["reward_terms"].values())
 
 
@@ -107,8 +109,8 @@ def test_rewards_sum_exactly(id: str) -> None:
     env = gymnasium.make(id, fidelity="fast")
     for _, reward, _, _, info in episode(env, 25)[1:]:
         assert reward == sum(info["reward_terms"].values())
-        assert set(info) == {"reward_terms", "outcome", "status", "clipped_actions", "clipped_observations"}
-        assert (info["status"], info["clipped_actions"], info["clipped_observations"]) == ("ok", 0, 0)
+        assert set(info) == {"command", "reward_terms", "outcome", *STATUS, "clipped_actions", "clipped_observations"}
+        assert (info["status"], info["clipped_actions"], info["clipped_observations"]) == (Status.OK, 0, 0)
         assert list(info["reward_terms"])[-2:] == ["effort", "divergence"]
         assert all(type(value) is float for value in {**info["reward_terms"], **info["outcome"]}.values())
         assert type(reward) is float
@@ -161,7 +163,7 @@ def test_free_base_observes_every_site() -> None:
     assert env.observation_space.shape == (6 * 54 + 90 + 5,)
     assert isinstance(env.task, Peristalsis)
     assert env.task.target(np.zeros(1)).shape == (1, 9)
-    assert episode(env, 3)[-1][4]["status"] == "ok"
+    assert episode(env, 3)[-1][4]["status"] == Status.OK
 
 
 @pytest.mark.parametrize("control", ["muscle", "ring", "column", [0, 1] * 45])
@@ -200,7 +202,7 @@ def test_seeds() -> None:
 def test_commands() -> None:
     """Held by the constructor, for one episode by options, and told at reset."""
     env = bare_env("LatticeWormBending-v0", command={"azimuth": 1.0})
-    assert env.reset(seed=0)[1] == {"command": {"azimuth": 1.0}, "status": "ok"}
+    assert env.reset(seed=0)[1]["command"] == {"azimuth": 1.0}
     observation, info = env.reset(options={"azimuth": -2.0})
     assert info["command"] == env.task.command == {"azimuth": -2.0}
     np.testing.assert_allclose(observation[-2:], [np.cos(-2.0), np.sin(-2.0)], rtol=1e-6)
@@ -261,7 +263,7 @@ def test_any_task_in_any_world(task: str, engine_name: EngineName) -> None:
     env = LatticeWormEnv(task, design=design, world=world, engine=engine_name, **kwargs)
     first = episode(env, 3)
     assert all(step[0] in env.observation_space for step in first)
-    assert first[-1][4]["status"] == "ok"
+    assert first[-1][4]["status"] == Status.OK
     assert same(first, episode(env, 3))
     twin, action = copy.deepcopy(env), env.action_space.sample()
     assert same([env.step(action)], [twin.step(action)])

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from small_worms import N_SMALL, SMALL, SMALL_WAVE, bare_env
 
 from lattice_gym.body.design import LatticeDesign
+from lattice_gym.engines.health import Status
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.physics.critical_step import critical_dt
 from lattice_gym.physics.laws.activation import advance_activation
@@ -86,7 +87,7 @@ def test_wrong_actions(action: Any) -> None:
     with pytest.raises(ValueError, match=r"^action:"):
         _HOSTILE.step(action)
     assert pickle.dumps(_HOSTILE.state) == before
-    assert _HOSTILE.step(np.zeros(N_SMALL))[4]["status"] == "ok"
+    assert _HOSTILE.step(np.zeros(N_SMALL))[4]["status"] == Status.OK
 
 
 def test_steps_need_a_reset() -> None:

@@ -16,6 +16,7 @@ from lattice_gym.benchmarks.divergence.runs import plan
 from lattice_gym.engines.health import Health, Status
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.envs.info import describe_status
 from lattice_gym.envs.terms import MOTION_BOUND
 from lattice_gym.recording.trajectory import Recorder
 from lattice_gym.tasks.base import MIN_PENALTY
@@ -33,7 +34,7 @@ def test_a_ball_that_has_left_ends_the_episode(height: float, direction: float, 
     state.ball_position[0, 2] = height
     env.worms.restore(state)
     _, reward, terminated, truncated, info = env.step(np.zeros(15))
-    assert (terminated, truncated, info["status"]) == (True, False, "ok")
+    assert (terminated, truncated, info["status"]) == (True, False, Status.OK)
     assert info["reward_terms"]["lost"] == (0.0 if held else -5.0)
     assert reward == sum(info["reward_terms"].values())
     assert (info["outcome"]["held"], info["outcome"]["delivered"]) == (float(held), float(held))
@@ -67,7 +68,7 @@ def test_divergence_ends_the_episode_and_never_pays(task: str, engine_name: Engi
             break
     assert terminated
     assert re.fullmatch(
-        r"(not finite|overstretched|inverted): (muscle|structure rod) \d+ .*element \d+ .*", info["status"]
+        r"(not finite|overstretched|inverted): (muscle|structure rod) \d+ .*element \d+ .*", describe_status(info, env)
     )
     assert tuple(info["reward_terms"]) == (*env.task.weights, "divergence")
     assert reward == info["reward_terms"]["divergence"] == -MIN_PENALTY
@@ -97,7 +98,7 @@ def test_any_engine_failure_is_survived(monkeypatch: pytest.MonkeyPatch) -> None
     _, _, terminated, _, info = env.step(np.zeros(N_SMALL))
     assert terminated
     where = "structure rod 4 (left-handed), element 2 of 8, between levels 1 and 2"
-    assert info["status"] == f"inverted: {where}"
+    assert describe_status(info, env) == f"inverted: {where}"
     assert pickle.dumps(env.state) == state == pickle.dumps(engine.state(0))
     assert env.task.caption(env.state) == ""
 
@@ -119,7 +120,8 @@ def test_a_run_astray_ends_the_episode() -> None:
     assert same(first[:-1], plain_first[:-1])
     assert [step[2] for step in first[1:]] == [False] * 4 + [True]
     assert not plain_first[-1][2]
-    assert re.fullmatch(r"inaccurate, as .* too long: (muscle|structure rod) \d+ .*", first[-1][4]["status"])
+    told = describe_status(first[-1][4], checked)
+    assert re.fullmatch(r"inaccurate, as .* too long: (muscle|structure rod) \d+ .*", told)
     assert first[-1][4]["reward_terms"]["divergence"] == -MIN_PENALTY
     np.testing.assert_array_equal(first[-1][0], first[-2][0])
     with pytest.raises(gymnasium.error.ResetNeeded):

@@ -16,6 +16,7 @@ from lattice_gym.engines.health import Health, Status, describe
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import simulate
 from lattice_gym.envs.env import LatticeWormEnv
+from lattice_gym.envs.info import describe_status
 from lattice_gym.envs.vector import LatticeWormVectorEnv
 from lattice_gym.physics.assembly import Clamp, RodModel
 from lattice_gym.physics.laws.lines import Line
@@ -232,8 +233,8 @@ def test_environments_name_them(task: str, monkeypatch: pytest.MonkeyPatch) -> N
     for env in (one, many):
         env.reset(seed=0)
         fail(env, monkeypatch, health)
-        status = env.step(np.zeros(env.action_space.sample().shape))[4]["status"]
-        assert (status if env is one else status[2]) == text
+        info = env.step(np.zeros(env.action_space.sample().shape))[4]
+        assert describe_status(info, env, -1) == text
     assert one.worms.status() == text
     assert many.worms.status(2) == f"worm 2: {text}"
     assert many.worms.status(0) == many.worms.status(1) == "ok"

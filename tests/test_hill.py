@@ -13,6 +13,7 @@ from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
 from lattice_gym.checks import FloatArray
+from lattice_gym.engines.health import Status
 from lattice_gym.engines.registry import EngineName
 from lattice_gym.engines.simulation import Simulation, simulate
 from lattice_gym.envs.env import LatticeWormEnv
@@ -215,7 +216,7 @@ def test_slack_muscles_settle_alike() -> None:
     np.testing.assert_allclose(living.task.rest.position, plain.task.rest.position, rtol=0.0, atol=1e-12)
     for env in (plain, living):
         env.reset(seed=0)
-        assert env.step(np.ones(env.action_space.shape))[4]["status"] == "ok"
+        assert env.step(np.ones(env.action_space.shape))[4]["status"] == Status.OK
     assert np.abs(living.state.position - plain.state.position).max() > 1e-5
 
 

@@ -21,6 +21,7 @@ from lattice_gym.benchmarks.work_precision.pefrl import pefrl_faults
 from lattice_gym.body.design import LatticeDesign
 from lattice_gym.body.lattice import build_lattice
 from lattice_gym.body.muscles import named_layout
+from lattice_gym.engines.health import Status
 from lattice_gym.envs.env import LatticeWormEnv
 from lattice_gym.envs.fidelity import FIDELITIES, FidelityName, named_fidelity
 from lattice_gym.physics.assembly import RodModel
@@ -198,7 +199,7 @@ def test_fidelity_builds_and_survives_a_spec(name: FidelityName) -> None:
     np.testing.assert_allclose(made.model.rods[0].damping * made.design.elements_per_segment, 5 * design.damping)
     for worm in (made, other):
         worm.reset(seed=1)
-        assert worm.step(np.ones(48))[4]["status"] == "ok"
+        assert worm.step(np.ones(48))[4]["status"] == Status.OK
     np.testing.assert_array_equal(made.state.position, other.state.position)
 
 

@@ -27,7 +27,6 @@ Mask = npt.NDArray[np.bool_]
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
-OK = str(Health())
 ROUNDING = 1e-9
 """Share of the largest declared reward by which a sum of terms may leave its bounds."""
 
@@ -95,10 +94,17 @@ class Worms:
         n_muscle = len(scene.groups)
         self._strength = None if scene.adaptation is None else scene.adaptation.initial((n_worm, n_muscle))
         self._tension_factor = None if scene.randomisation is None else np.ones((n_worm, n_muscle))
+        drawn = () if scene.randomisation is None else scene.randomisation.ranges
+        self._factors = {name: np.ones((n_worm, n_muscle) if name == "strength" else n_worm) for name in drawn}
         self.observer = Observer(scene, self.task)
         self._least_reward, self._most_reward = _reward_bounds(self.task)
         self._warned, self._warned_of_length = False, False
         self._unchecked = {"terms", "outcome", "remember"}
+
+    @property
+    def reward_names(self) -> tuple[str, ...]:
+        """Names of the reward terms, in the order of their sum."""
+        return (*self.task.rewards, EFFORT, DIVERGENCE)
 
     @property
     def group_activation(self) -> FloatArray:
@@ -137,6 +143,11 @@ class Worms:
         if self._strength is None:
             return _read_only(np.ones((self.n_worm, len(self.scene.groups))))
         return _read_only(self._strength.factor)
+
+    @property
+    def factors(self) -> Mapping[str, FloatArray]:
+        """Factors of `randomise` drawn for each episode, by name, shape (n_worm,); "strength": (n_worm, n_muscle)."""
+        return {name: _read_only(values) for name, values in self._factors.items()}
 
     @property
     def time(self) -> FloatArray:
@@ -184,10 +195,8 @@ class Worms:
         """Observations of all worms, and how many numbers of each were clipped, shape (n_worm,)."""
         return self.observer(self)
 
-    def begin(
-        self, worm: int, generator: np.random.Generator, options: Mapping[str, object] | None = None
-    ) -> dict[str, Any]:
-        """Begin an episode of one worm; return what `info` tells of it.
+    def begin(self, worm: int, generator: np.random.Generator, options: Mapping[str, object] | None = None) -> None:
+        """Begin an episode of one worm.
 
         Parameters
         ----------
@@ -203,19 +212,17 @@ class Worms:
         self._activation[:, worm] = self._rest((scene.n_group,))
         self._previous_action[worm] = 0.0
         self._n_step[worm], self._sound_time[worm], self._failed[worm] = 0, 0.0, False
-        info: dict[str, Any] = {"command": self.task.command_of(worm), "status": OK}
         if scene.randomisation is not None and self._tension_factor is not None:
             factors = scene.randomisation.draw(generator, len(scene.groups))
             self._tension_factor[worm] = tension_factor(factors)
             self._models[worm] = apply_factors(scene.model, factors)
             self.engine.replace(worm, self._models[worm])
-            info["factors"] = factors
+            for name, values in self._factors.items():
+                values[worm] = factors[name]
         self.restore(scene.start, worm)
         if scene.adaptation is not None and self._strength is not None:
             strength = scene.adaptation.at_reset(self._strength.row(worm))
             self._strength = self._strength.where(np.arange(self.n_worm) == worm, strength)
-            info["strength"] = self._strength.factor[worm].copy()
-        return info
 
     def step(self, command: FloatArray, live: Mask | None = None) -> Step:
         """Advance by one control step.

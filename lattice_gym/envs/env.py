@@ -15,6 +15,7 @@ from lattice_gym.checks import FloatArray, choice, optional, whole
 from lattice_gym.envs.actions import to_command
 from lattice_gym.envs.attributes import SceneAttributes
 from lattice_gym.envs.core import Worms
+from lattice_gym.envs.info import worm_info
 from lattice_gym.envs.observation import Observation
 from lattice_gym.envs.pictures import RENDER_MODES, Pictures
 from lattice_gym.envs.pitfalls import warn_of_pitfalls
@@ -118,7 +119,7 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
     `LatticeWormGoalEnv` (id `LatticeWormReachGoal-v0`) observes goals apart, for hindsight replay. Many worms at once:
     `LatticeWormVectorEnv`, which `gymnasium.make_vec` makes. `worms` holds what either has and a wrapper may want:
     `motion`, `measures` (lengths, radii, centres and more), `activation`, `strength`, `previous_action`, `time`,
-    `task`, `state()` and `status()`, a row a worm; see `Worms`.
+    `task`, `state()` and `health()`, a row a worm; see `Worms`.
 
     ## Rewards
 
@@ -185,18 +186,30 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
 
     `terminated` in transport where the ball has left the body, and else only where the physics diverges: a state that
     is not finite, an element inverted or over-stretched, a joint torn or, where asked for, spurious energy
-    (`energy_check`) or too long a step (`step_check`); see `engines.Status`. Then `info["status"]` names what and
-    where, by muscle or rod and level, and the observation is the last sound one, again; `time` is that of the control
-    step that failed. The penalty exceeds what lies between the best and the worst episode of at most `time_limit`
-    steps, so none of these that ends well is worth less; a longer one warns where it may be. The environment never
-    truncates itself: the time limit is registered.
+    (`energy_check`) or too long a step (`step_check`). Then `info` tells what and where, see below, and the observation
+    is the last sound one, again; `time` is that of the control step that failed. The penalty exceeds what lies between
+    the best and the worst episode of at most `time_limit` steps, so none of these that ends well is worth less; a
+    longer one warns where it may be. The environment never truncates itself: the time limit is registered.
 
     ## Info
 
-    After a step: `reward_terms` and `outcome` (names to floats), `status` ("ok", or what went wrong and where),
-    `clipped_actions`, `clipped_observations` (counts). After a reset: `command` (names to floats) and `status`. With an
-    `adaptation` both hold `strength`, that of every active muscle over the design's, shape (n_muscle,). With
-    `randomise` a reset tells the `factors` drawn, by name; that of "strength" has shape (n_muscle,).
+    After a reset and after every step the same names, and nothing but numbers: `command`, `reward_terms`, `outcome`
+    (names to floats), `status`, `rod`, `element`, `joint`, `clipped_actions`, `clipped_observations` (whole numbers).
+    With an `adaptation` also `strength`, that of every active muscle over the design's, shape (n_muscle,); with
+    `randomise` the `factors` drawn for the episode, by name; that of "strength" has shape (n_muscle,).
+
+    | `status` | `lattice_gym.Status` | what went wrong in the step |
+    |---|---|---|
+    | 0 | `OK` | nothing |
+    | 1 | `NON_FINITE` | a position, velocity or director is NaN or infinite |
+    | 2 | `OVERSTRETCHED` | an element, or a muscle that is a line, is far too short or long |
+    | 3 | `INVERTED` | an element points backwards |
+    | 4 | `TORN` | two joined nodes have come off each other |
+    | 5 | `ENERGY` | spurious energy, with `energy_check` |
+    | 6 | `INACCURATE` | the time step was too long, with `step_check` |
+
+    `rod`, `element` and `joint` say where, as indices of `model`, -1 where there is none: a failure without a rod is
+    the ball's. `lattice_gym.describe_status(info, env)` says it in words.
 
     | task | `outcome`, which is not the reward |
     |---|---|
@@ -389,9 +402,10 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         self.worms.engine.require_idle()
         super().reset(seed=seed)
         warn_of_time_limit(self.spec, self.scene.task, int(self.worms.n_step[0]))
-        info = self.worms.begin(0, self.np_random, options)
+        self.worms.begin(0, self.np_random, options)
         self._running = True
-        return self._observe()[0], info
+        observation, n_beyond = self._observe()
+        return observation, self._info(dict.fromkeys(self.worms.reward_names, 0.0), 0, n_beyond)
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by `control_dt`."""
@@ -403,16 +417,8 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         terminated = bool(result.terminated[0])
         self._running = not terminated
         observation, n_beyond = self._observe()
-        info = {
-            "reward_terms": _first(result.terms),
-            "outcome": _first(worms.outcome()),
-            "status": worms.status(),
-            "clipped_actions": int(n_clipped),
-            "clipped_observations": n_beyond,
-        }
-        if self.adaptation is not None:
-            info["strength"] = self.strength
-        return observation, float(result.reward[0]), terminated, False, info
+        info = self._info(_first(result.terms), int(n_clipped), n_beyond)
+        return observation, result.reward.item(0), terminated, False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """Picture of the worm now and of the place it is to reach, shape (480, 640, 3); None without a render mode.
@@ -427,6 +433,13 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         self._pictures.close()
         self.worms.close()
 
+    def _info(self, terms: dict[str, float], n_clipped: int, n_beyond: int) -> dict[str, Any]:
+        """Info of the step or of the start: the same names, and arrays of the same shapes."""
+        info = worm_info(self.worms)
+        info["reward_terms"], info["outcome"] = terms, _first(self.worms.outcome())
+        info["clipped_actions"], info["clipped_observations"] = n_clipped, n_beyond
+        return info
+
     def _observe(self) -> tuple[Observation, int]:
         """Observation, and how many of its numbers were clipped."""
         seen, n_beyond = self.worms.observe()
@@ -436,4 +449,4 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
 
 def _first(values: Mapping[str, FloatArray]) -> dict[str, float]:
     """Numbers of the first worm."""
-    return {name: float(value[0]) for name, value in values.items()}
+    return {name: float(value.item(0)) for name, value in values.items()}

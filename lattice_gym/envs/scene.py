@@ -184,6 +184,13 @@ class Scene:
         return n_substeps, step
 
 
+class UnknownArgumentError(TypeError, ValueError):
+    """A keyword that is no argument: a TypeError as Python's own, by whose words some libraries try keywords out.
+
+    And a ValueError, as is whatever else cannot be used.
+    """
+
+
 def takes_scene_arguments(init: Init) -> Init:
     """Let the `**arguments` of a constructor be those of `Scene`: named in its signature, and any other refused."""
     own = list(signature(init).parameters.values())[:-1]
@@ -196,7 +203,9 @@ def takes_scene_arguments(init: Init) -> Init:
     def checked(self: object, *args: Any, **arguments: Any) -> None:
         for name in arguments:
             if name not in argument_names:
-                raise ValueError(f"there is no argument {name!r}; there are {', '.join(argument_names)}")
+                raise UnknownArgumentError(
+                    f"got an unexpected keyword argument {name!r}; there are {', '.join(argument_names)}"
+                )
         init(self, *args, **arguments)
 
     checked.__signature__ = Signature(known)  # type: ignore[attr-defined]

@@ -15,11 +15,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from lattice_gym.checks import FloatArray, IntArray, choice, invalid_value, is_list, items, optional, whole
-from lattice_gym.engines.health import describe
 from lattice_gym.envs.actions import to_command
 from lattice_gym.envs.attributes import SceneAttributes
-from lattice_gym.envs.core import OK, Mask, Worms
+from lattice_gym.envs.core import Mask, Worms
 from lattice_gym.envs.env import METADATA
+from lattice_gym.envs.info import worm_infos
 from lattice_gym.envs.observation import Observation
 from lattice_gym.envs.pictures import RENDER_MODES, Pictures
 from lattice_gym.envs.pitfalls import warn_of_pitfalls
@@ -39,8 +39,8 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
     And actions must be sound in every row, also in those of worms that are reset in this step.
 
     Seeds, resets by `options["reset_mask"]`, masks of infos, `final_obs` and `final_info` are as in `SyncVectorEnv`. A
-    worm whose physics diverges ends alone; no other changes by it. `render` gives a tuple of pictures, one a worm. It
-    can be neither pickled nor copied.
+    worm whose physics diverges ends alone; no other changes by it. `render` gives a tuple of pictures, one a worm.
+    `autoreset_mode` is an attribute too. It can be neither pickled nor copied.
 
     Commanded numbers in options are for all worms, a list is one to draw from for each, and a NumPy array, of shape
     (num_envs,), holds one for each.
@@ -88,7 +88,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         unlimited = isinstance(max_episode_steps, int | np.integer) and max_episode_steps == NO_LIMIT
         self._limit = None if unlimited else optional(whole, "max_episode_steps", max_episode_steps, 1)
         try:
-            self._mode = AutoresetMode(autoreset_mode)
+            self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
             modes = ", ".join(repr(mode.value) for mode in AutoresetMode)
             raise invalid_value("autoreset_mode", autoreset_mode, f"must be one of {modes}") from None
@@ -98,7 +98,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         self.scene = Scene(**arguments)
         warn_of_pitfalls(self.scene, arguments)
         self.worms = Worms(self.scene, self.num_envs, num_threads=num_threads)
-        self.metadata = {**METADATA, "render_fps": 1.0 / self.scene.control_dt, "autoreset_mode": self._mode}
+        self.metadata = {**METADATA, "render_fps": 1.0 / self.scene.control_dt, "autoreset_mode": self.autoreset_mode}
         self.single_action_space = self.scene.action_space
         self.single_observation_space = self.worms.observer.space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -147,48 +147,45 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         for worm in _worms(mask):
             self.worms.task.check(given[worm])
         self.worms.engine.require_idle()
-        infos: dict[str, Any] = {}
         for worm in _worms(mask):
             if seeds[worm] is not None:
                 self._random[worm] = seeding.np_random(seeds[worm])
-            infos = self._add_info(infos, self._begin(worm, given[worm]), worm)
+            self._begin(worm, given[worm])
         self._ended = self._ended & ~mask
-        observation, _ = self.worms.observe()
+        observation, n_beyond = self.worms.observe()
         self._observation = observation if mask.all() else _merge(mask, observation, self._observation)
-        return _copy(self._observation), infos
+        terms = {name: np.zeros(self.num_envs) for name in self.worms.reward_names}
+        infos = self._infos(terms, np.zeros(self.num_envs, dtype=np.int64), n_beyond)
+        return _copy(self._observation), _mask_infos(infos, mask)
 
     def step(self, actions: npt.ArrayLike) -> tuple[Observation, FloatArray, Mask, Mask, dict[str, Any]]:
         """Advance every worm by `control_dt`, but for those that are reset instead."""
         if self._observation is None:
             raise gymnasium.error.ResetNeeded("reset() must be called first")
         command, n_clipped = to_command(actions, (self.num_envs, self.scene.n_group), self.scene.action_range)
-        if self._mode is AutoresetMode.DISABLED and self._ended.any():
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any():
             worms = _worms(self._ended)
             raise gymnasium.error.ResetNeeded(f"worms {worms} have ended and must be reset first")
         live = ~self._ended
         result = self.worms.step(command, live)
         truncated: Mask = live & (self.worms.n_step >= self._limit) if self._limit else np.zeros_like(live)
         ended = result.terminated | truncated
-        step_info: dict[str, Any] = {
-            "reward_terms": result.terms,
-            "status": self._status(),
-            "clipped_actions": n_clipped,
-        }
         outcome = self._outcome_of(ended.nonzero()[0])
-        resets = {worm: self._begin(worm) for worm in _worms(~live)}
-        observation, step_info["clipped_observations"] = self.worms.observe()
-        if self.scene.adaptation is not None:
-            step_info["strength"] = self.worms.strength.copy()
-        if self._mode is AutoresetMode.SAME_STEP and ended.any():
-            infos = _mask_infos(step_info, live & ~ended) | self._final(observation, ended)
-            infos["final_info"] = _mask_infos(step_info, ended) | _mask_infos({"outcome": outcome}, ended)
-            resets = {worm: self._begin(worm) for worm in _worms(ended)}
-            observation, _ = self.worms.observe()
-        else:
-            infos = _mask_infos(step_info, live) | _mask_infos({"outcome": outcome}, ended)
+        for worm in _worms(~live):
+            self._begin(worm)
+            n_clipped[worm] = 0
+        observation, n_beyond = self.worms.observe()
+        told, others = self._infos(result.terms, n_clipped, n_beyond), _mask_infos({"outcome": outcome}, ended)
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
             self._ended = ended
-        for worm, info in resets.items():
-            infos = self._add_info(infos, info, worm)
+        elif ended.any():
+            others = self._final(observation, ended) | {"final_info": _mask_infos(told, ended) | others}
+            for worm in _worms(ended):
+                self._begin(worm)
+            observation, n_beyond = self.worms.observe()
+            terms = {name: np.where(ended, 0.0, values) for name, values in result.terms.items()}
+            told = self._infos(terms, np.where(ended, 0, n_clipped), n_beyond)
+        infos = _mask_infos(told, np.ones_like(live)) | others
         self._observation = observation
         return _copy(observation), result.reward, result.terminated, truncated, infos
 
@@ -224,16 +221,14 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         """Refuse to be pickled or copied: the parts of the physics share arrays, which a copy would not."""
         raise TypeError(f"{type(self).__name__}: can be neither pickled nor copied")
 
-    def _begin(self, worm: int, options: Mapping[str, object] | None = None) -> dict[str, Any]:
-        """Start an episode of a worm, and tell of it as a single environment does."""
-        return self.worms.begin(worm, self._random[worm][0], options)
+    def _begin(self, worm: int, options: Mapping[str, object] | None = None) -> None:
+        """Start an episode of a worm."""
+        self.worms.begin(worm, self._random[worm][0], options)
 
-    def _status(self) -> npt.NDArray[np.object_]:
-        """How the step went for every worm."""
-        status = np.full(self.num_envs, OK, dtype=object)
-        for worm in _worms(self.worms.failed):
-            status[worm] = describe(self.worms.health(worm), self.scene.lattice, self.scene.layout)
-        return status
+    def _infos(self, terms: dict[str, FloatArray], n_clipped: IntArray, n_beyond: IntArray) -> dict[str, Any]:
+        """Info of the last step, or of the start, of every worm."""
+        infos = worm_infos(self.worms)
+        return infos | {"reward_terms": terms, "clipped_actions": n_clipped, "clipped_observations": n_beyond}
 
     def _outcome_of(self, worms: IntArray) -> dict[str, FloatArray]:
         """Outcome of some worms, by name and with a row for every worm; nothing at all without any."""

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from lattice_gym.checks import items, whole
-from lattice_gym.envs.core import OK
 from lattice_gym.policies.base import EVALUATION_SEED, EnvLike, Policy, opened, play
 
 SEEDS = range(EVALUATION_SEED, EVALUATION_SEED + 10)
@@ -97,7 +96,7 @@ def evaluate(
                 command = info.get("command", command)
             drawn = {name: value for name, value in command.items() if name in worm.task.choices}
             errors = worm.task.errors(info["outcome"], command)
-            episodes.append(Episode(drawn, gain, errors, worm.worms.status() != OK))
+            episodes.append(Episode(drawn, gain, errors, not worm.worms.health().ok))
     return _summary(episodes)
 
 

@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from lattice_gym.envs.core import OK
 from lattice_gym.policies.base import EVALUATION_SEED, EnvLike, Policy, opened, play
 from lattice_gym.recording.trajectory import Recorder, Trajectory
 
@@ -28,8 +27,8 @@ def record(
         for number, step in enumerate(play(policy, made, seed)):
             progress(f"recording: step {number}")
             total += step.reward
-            status, state = worm.worms.status(), worm.state
-            parts = (f"return {total:.2f}", worm.task.caption(state), "" if status == OK else status)
+            state, failure = worm.state, "" if worm.worms.health().ok else worm.worms.status()
+            parts = (f"return {total:.2f}", worm.task.caption(state), failure)
             line = "   ".join(part for part in parts if part)
             recorder.append(worm.time, state.position, worm.activation, step.reward, line, state.ball_position)
         return recorder.build(worm.task.markers(0))

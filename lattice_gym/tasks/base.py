@@ -277,7 +277,7 @@ class Task(ABC):
     def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
         """Return what the motion came to by now, apart from the reward, shape (n,) each.
 
-        Motion and rows are those of n of the worms.
+        Motion and rows are those of n of the worms. Asked for at the start of an episode too.
         """
 
     @classmethod
