@@ -87,7 +87,7 @@ class Worms:
         self._models, self._num_threads = [scene.model] * n_worm, num_threads
         self._start_engine([scene.start] * n_worm)
         self._saved_states = [scene.start] * n_worm if keep_state else None
-        self._foreign_law = type(scene.activation) not in ACTIVATIONS.values()
+        self._foreign_law = type(scene.activation_law) not in ACTIVATIONS.values()
         self._activation = self._rest((n_worm, scene.n_group))
         self._previous_action = np.zeros((n_worm, scene.n_group))
         self._n_step, self._sound_time = np.zeros(n_worm, dtype=np.int64), np.zeros(n_worm)
@@ -233,10 +233,10 @@ class Worms:
         """
         scene, before = self.scene, self._activation
         if self._foreign_law:
-            after = scene.activation.advance(before.copy(), command.copy(), scene.control_dt)
+            after = scene.activation_law.advance(before.copy(), command.copy(), scene.control_dt)
             after = self._check_activation("advance", after, before.shape)
         else:
-            after = scene.activation.advance(before, command, scene.control_dt)
+            after = scene.activation_law.advance(before, command, scene.control_dt)
         active = np.array([before[0], after[0]]).take(scene.groups, axis=-1)
         tension = scene.design.max_tension * active
         use_factor = None if self._strength is None else self._strength.factor
@@ -285,7 +285,7 @@ class Worms:
         """Make the engine, with worms in these states, and show how they move."""
         scene = self.scene
         engine = self.engine = make_engine(
-            scene.engine,
+            scene.engine_name,
             self._models,
             scene.dt,
             scene.splitting,
@@ -347,13 +347,13 @@ class Worms:
 
     def _rest(self, shape: tuple[int, ...]) -> FloatArray:
         """State of muscles long at rest, shape (n_state, *shape)."""
-        law = self.scene.activation
+        law = self.scene.activation_law
         rest = law.rest(shape)
         return self._check_activation("rest", rest, (law.n_state, *shape)) if self._foreign_law else rest
 
     def _check_activation(self, method: str, state: object, shape: tuple[int, ...]) -> FloatArray:
         """Copy of a state that a law from outside gives; a ValueError where it is none."""
-        label = f"{type(self.scene.activation).__name__}.{method}"
+        label = f"{type(self.scene.activation_law).__name__}.{method}"
         checked: FloatArray = array(label, state, shape)  # type: ignore[arg-type]
         if not ((checked[0] >= 0.0) & (checked[0] <= 1.0)).all():
             raise ValueError(f"{label}: activations must stay from 0 to 1")
