@@ -20,7 +20,7 @@ from lattice_gym.envs.scene import Scene
 from lattice_gym.physics.laws.activation import ACTIVATIONS
 from lattice_gym.physics.measures import muscle_strain
 from lattice_gym.physics.state import Motion, RodState
-from lattice_gym.tasks.base import DIVERGENCE, EFFORT, RewardTerm, Task
+from lattice_gym.tasks.base import DIVERGENCE
 
 Mask = npt.NDArray[np.bool_]
 """One bool a worm, shape (n_worm,)."""
@@ -28,8 +28,6 @@ Mask = npt.NDArray[np.bool_]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 OK = str(Health())
-ROUNDING = 1e-9
-"""Share of the largest declared reward by which a sum of terms may leave its bounds."""
 
 
 class Step(NamedTuple):
@@ -96,7 +94,6 @@ class Worms:
         self._strength = None if scene.adaptation is None else scene.adaptation.initial((n_worm, n_muscle))
         self._tension_factor = None if scene.randomisation is None else np.ones((n_worm, n_muscle))
         self.observer = Observer(scene, self.task)
-        self._least_reward, self._most_reward = _reward_bounds(self.task)
         self._warned, self._warned_of_length = False, False
         self._unchecked = {"terms", "outcome", "remember"}
 
@@ -378,7 +375,7 @@ class Worms:
 
     def _check_reward(self, reward: FloatArray, terms: Mapping[str, FloatArray]) -> None:
         """Refuse NaN, and warn once of rewards beyond the declared ranges, which set the penalty of a divergence."""
-        values, least, most = reward.tolist(), self._least_reward, self._most_reward
+        values, (least, most) = reward.tolist(), self.task.reward_bounds
         if all(least <= value <= most for value in values):
             return
         for name, value in terms.items():
@@ -403,21 +400,6 @@ class Worms:
             f"that diverges, which costs {task.penalty:g}: give time_limit, the most steps that an episode may last",
             stacklevel=4,
         )
-
-
-def _reward_bounds(task: Task) -> tuple[float, float]:
-    """Least and largest reward of one control step, by the ranges that the task declares, and to rounding."""
-    ends = [(0.0, 0.0)]
-    for name, term in (*task.rewards.items(), (EFFORT, RewardTerm(task.weights[EFFORT], -1.0, 0.0))):
-        if term.per_episode:  # A step is the difference of two sums, each within the range.
-            span = term.span(1, task.weights[name]) if task.weights[name] else 0.0
-            ends.append((-span, span))
-        elif task.weights[name]:
-            low, high = sorted((task.weights[name] * term.low, task.weights[name] * term.high))
-            ends.append((low, high))
-    least, most = sum(min(low, 0.0) for low, _ in ends), sum(max(high, 0.0) for _, high in ends)
-    slack = ROUNDING * max((size for size in (-least, most) if math.isfinite(size)), default=0.0)
-    return least - slack, most + slack
 
 
 def _read_only(values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:

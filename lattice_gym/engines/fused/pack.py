@@ -185,10 +185,19 @@ class Pack:
             contact=None,
             account=None,
         )
-        gaps, bounds = np.zeros((n_worm, len(model.joints))), (MIN_DILATATION, MAX_DILATATION)
-        status, found = np.zeros((2, n_worm), np.int64)
         self._worms = WormTable(
-            *self._node, *self._element, gaps, *bounds, rows, outputs.position, outputs.velocity, status, found
+            node_cell=self._node.cell,
+            node_lane=self._node.lane,
+            cell=self._element.cell,
+            lane=self._element.lane,
+            max_gap=np.zeros((n_worm, len(model.joints))),
+            min_dilatation=MIN_DILATATION,
+            max_dilatation=MAX_DILATATION,
+            row=rows,
+            position=outputs.position,
+            velocity=outputs.velocity,
+            status=np.zeros(n_worm, np.int64),
+            found=np.zeros(n_worm, np.int64),
         )
         for worm, own in enumerate(models):
             self.fill(worm, own)
