@@ -62,7 +62,7 @@ class WormVecEnv(VecEnv):
         actions, _, self._own_actions = rescale_box(envs.single_action_space, np.float32(-1.0), np.float32(1.0))
         super().__init__(envs.num_envs, envs.single_observation_space, actions)
         self.metadata, self.spec = dict(envs.metadata), envs.spec
-        self._task = bare.scene.task
+        self._task = bare.scene.task_class
         self._has_goals = isinstance(envs.single_observation_space, spaces.Dict)
         self._returns = np.zeros(self.num_envs)
         self._lengths = np.zeros(self.num_envs, dtype=np.int64)

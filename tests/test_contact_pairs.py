@@ -74,7 +74,7 @@ def engine_of(model: RodModel) -> Simulation:
 
 def listed(engine: Simulation) -> tuple[IntArray, kernel.Contact]:
     """Pairs of elements that the compiled code lists as they stand, sorted, and its tables."""
-    tables = pack_of(engine).scene.contact
+    tables = pack_of(engine).laws.contact
     assert tables is not None
     pairs, count = kernel.list_pairs(pack_of(engine).blocks.cells, tables)
     pairs = contact.touchable(engine.model)[pairs[:count]]
@@ -229,10 +229,10 @@ def test_when_the_list_was_made_does_not_show(room: int) -> None:
     model = scattered(np.random.default_rng(0), 60, 0.15)
     first, second = engine_of(model), engine_of(model)
     for engine in (first, second):
-        tables = pack_of(engine).scene.contact
+        tables = pack_of(engine).laws.contact
         assert tables is not None
         tables = tables._replace(pairs=np.zeros((room, 2), np.int64))
-        pack_of(engine).scene = pack_of(engine).scene._replace(contact=tables)
+        pack_of(engine).laws = pack_of(engine).laws._replace(contact=tables)
     start = model.rest_state().copy()
     start.velocity[:] = np.random.default_rng(1).normal(0.0, 0.3, start.velocity.shape)
     first.restore(start)

@@ -113,7 +113,7 @@ def test_activation_laws_survive_json(law: Activation) -> None:
     assert made.spec is not None
     again = gymnasium.make(EnvSpec.from_json(made.spec.to_json())).unwrapped
     assert isinstance(again, LatticeWormEnv)
-    assert (type(again.scene.activation), again.scene.activation.to_dict()) == (type(law), law.to_dict())
+    assert (type(again.scene.activation_law), again.scene.activation_law.to_dict()) == (type(law), law.to_dict())
 
 
 @pytest.mark.parametrize(

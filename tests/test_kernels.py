@@ -91,14 +91,14 @@ def run_all_laws() -> None:
         mine, other = getattr(a, field), getattr(b, field)
         assert np.abs(mine - other).max() < 1e-12 * np.abs(other).max(), field
     for engine in engines:
-        scene = engine.packs[0].scene
-        assert scene.contact is not None
-        assert scene.ball is not None
-        assert scene.account is not None
-        assert scene.contact.n_listed[0] > 0
-        assert scene.ball.load[2] > 0.0
-        assert (scene.account.ground_reaction != 0.0).any()
-        assert (scene.account.total != 0.0).all()
+        laws = engine.packs[0].laws
+        assert laws.contact is not None
+        assert laws.ball is not None
+        assert laws.account is not None
+        assert laws.contact.n_listed[0] > 0
+        assert laws.ball.load[2] > 0.0
+        assert (laws.account.ground_reaction != 0.0).any()
+        assert (laws.account.total != 0.0).all()
         omega = state.omega.copy()
         omega[model.elements(3)] = (0.6 / dt, 0.0, 0.0)
         engine.restore(0, replace(state, omega=omega))

@@ -20,15 +20,12 @@ from lattice_gym.envs.scene import Scene
 from lattice_gym.physics.laws.activation import ACTIVATIONS
 from lattice_gym.physics.measures import muscle_strain
 from lattice_gym.physics.state import Motion, RodState
-from lattice_gym.tasks.base import DIVERGENCE, EFFORT, RewardTerm, Task
+from lattice_gym.tasks.base import DIVERGENCE, EFFORT
 
 Mask = npt.NDArray[np.bool_]
 """One bool a worm, shape (n_worm,)."""
 
 Scalar = TypeVar("Scalar", bound=np.generic)
-
-ROUNDING = 1e-9
-"""Share of the largest declared reward by which a sum of terms may leave its bounds."""
 
 
 class Step(NamedTuple):
@@ -86,7 +83,7 @@ class Worms:
         self._models, self._num_threads = [scene.model] * n_worm, num_threads
         self._start_engine([scene.start] * n_worm)
         self._saved_states = [scene.start] * n_worm if keep_state else None
-        self._foreign_law = type(scene.activation) not in ACTIVATIONS.values()
+        self._foreign_law = type(scene.activation_law) not in ACTIVATIONS.values()
         self._activation = self._rest((n_worm, scene.n_group))
         self._previous_action = np.zeros((n_worm, scene.n_group))
         self._n_step, self._sound_time = np.zeros(n_worm, dtype=np.int64), np.zeros(n_worm)
@@ -97,7 +94,6 @@ class Worms:
         drawn = () if scene.randomisation is None else scene.randomisation.ranges
         self._factors = {name: np.ones((n_worm, n_muscle) if name == "strength" else n_worm) for name in drawn}
         self.observer = Observer(scene, self.task)
-        self._least_reward, self._most_reward = _reward_bounds(self.task)
         self._warned, self._warned_of_length = False, False
         self._unchecked = {"terms", "outcome", "remember"}
 
@@ -240,10 +236,10 @@ class Worms:
         """
         scene, before = self.scene, self._activation
         if self._foreign_law:
-            after = scene.activation.advance(before.copy(), command.copy(), scene.control_dt)
+            after = scene.activation_law.advance(before.copy(), command.copy(), scene.control_dt)
             after = self._check_activation("advance", after, before.shape)
         else:
-            after = scene.activation.advance(before, command, scene.control_dt)
+            after = scene.activation_law.advance(before, command, scene.control_dt)
         active = np.array([before[0], after[0]]).take(scene.groups, axis=-1)
         tension = scene.design.max_tension * active
         use_factor = None if self._strength is None else self._strength.factor
@@ -292,7 +288,7 @@ class Worms:
         """Make the engine, with worms in these states, and show how they move."""
         scene = self.scene
         engine = self.engine = make_engine(
-            scene.engine,
+            scene.engine_name,
             self._models,
             scene.dt,
             scene.splitting,
@@ -354,13 +350,13 @@ class Worms:
 
     def _rest(self, shape: tuple[int, ...]) -> FloatArray:
         """State of muscles long at rest, shape (n_state, *shape)."""
-        law = self.scene.activation
+        law = self.scene.activation_law
         rest = law.rest(shape)
         return self._check_activation("rest", rest, (law.n_state, *shape)) if self._foreign_law else rest
 
     def _check_activation(self, method: str, state: object, shape: tuple[int, ...]) -> FloatArray:
         """Copy of a state that a law from outside gives; a ValueError where it is none."""
-        label = f"{type(self.scene.activation).__name__}.{method}"
+        label = f"{type(self.scene.activation_law).__name__}.{method}"
         checked: FloatArray = array(label, state, shape)  # type: ignore[arg-type]
         if not ((checked[0] >= 0.0) & (checked[0] <= 1.0)).all():
             raise ValueError(f"{label}: activations must stay from 0 to 1")
@@ -385,7 +381,7 @@ class Worms:
 
     def _check_reward(self, reward: FloatArray, terms: Mapping[str, FloatArray]) -> None:
         """Refuse NaN, and warn once of rewards beyond the declared ranges, which set the penalty of a divergence."""
-        values, least, most = reward.tolist(), self._least_reward, self._most_reward
+        values, (least, most) = reward.tolist(), self.task.reward_bounds
         if all(least <= value <= most for value in values):
             return
         for name, value in terms.items():
@@ -410,21 +406,6 @@ class Worms:
             f"that diverges, which costs {task.penalty:g}: give time_limit, the most steps that an episode may last",
             stacklevel=4,
         )
-
-
-def _reward_bounds(task: Task) -> tuple[float, float]:
-    """Least and largest reward of one control step, by the ranges that the task declares, and to rounding."""
-    ends = [(0.0, 0.0)]
-    for name, term in (*task.rewards.items(), (EFFORT, RewardTerm(task.weights[EFFORT], -1.0, 0.0))):
-        if term.per_episode:  # A step is the difference of two sums, each within the range.
-            span = term.span(1, task.weights[name]) if task.weights[name] else 0.0
-            ends.append((-span, span))
-        elif task.weights[name]:
-            low, high = sorted((task.weights[name] * term.low, task.weights[name] * term.high))
-            ends.append((low, high))
-    least, most = sum(min(low, 0.0) for low, _ in ends), sum(max(high, 0.0) for _, high in ends)
-    slack = ROUNDING * max((size for size in (-least, most) if math.isfinite(size)), default=0.0)
-    return least - slack, most + slack
 
 
 def _read_only(values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:

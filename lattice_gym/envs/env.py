@@ -401,7 +401,7 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
         self.worms.task.check(options)  # Before the generator is seeded: a refused reset changes nothing.
         self.worms.engine.require_idle()
         super().reset(seed=seed)
-        warn_of_time_limit(self.spec, self.scene.task, int(self.worms.n_step[0]))
+        warn_of_time_limit(self.spec, self.scene.task_class, int(self.worms.n_step[0]))
         self.worms.begin(0, self.np_random, options)
         self._running = True
         observation, n_beyond = self._observe()
@@ -429,7 +429,7 @@ class LatticeWormEnv(SceneAttributes, gymnasium.Env[Observation, npt.NDArray[np.
 
     def close(self) -> None:
         """Free the renderer and threads."""
-        warn_of_time_limit(self.spec, self.scene.task, int(self.worms.n_step[0]))
+        warn_of_time_limit(self.spec, self.scene.task_class, int(self.worms.n_step[0]))
         self._pictures.close()
         self.worms.close()
 

@@ -27,7 +27,7 @@ TermLike = str | type[ObservationTerm]
 def resolve_terms(observation: object, scene: Scene) -> tuple[type[ObservationTerm], ...]:
     """Classes of the terms that are asked for; None: those of the task, and clock and strength where given.
 
-    Of the scene only `task`, `goals_apart`, `rhythm` and `adaptation` are read.
+    Of the scene only `task_class`, `goals_apart`, `rhythm` and `adaptation` are read.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def resolve_terms(observation: object, scene: Scene) -> tuple[type[ObservationTe
     """
     given = {"clock": scene.rhythm is not None, "strength": scene.adaptation is not None and scene.adaptation.observed}
     further = [name for name, wanted in given.items() if wanted]
-    own = [term for term in scene.task.observation if term != "command" or not scene.goals_apart]
+    own = [term for term in scene.task_class.observation if term != "command" or not scene.goals_apart]
     default = own + [name for name in further if name not in own]
     if observation is None:
         observation = default
@@ -72,7 +72,7 @@ class Observer:
     Parameters
     ----------
     scene
-        What they have in common; `scene.terms` are observed.
+        What they have in common; `scene.term_classes` are observed.
     task
         What is asked of them.
 
@@ -88,7 +88,7 @@ class Observer:
     """
 
     def __init__(self, scene: Scene, task: Task) -> None:
-        self.terms = tuple(_build_term(term, scene) for term in scene.terms)
+        self.terms = tuple(_build_term(term, scene) for term in scene.term_classes)
         ends = np.cumsum([0, *(term.size for term in self.terms)]).tolist()
         self.slices = {term.name: slice(*ends[place : place + 2]) for place, term in enumerate(self.terms)}
         self._goals = task if scene.goals_apart and isinstance(task, GoalTask) else None

@@ -26,7 +26,7 @@ OPTIONS = ("hill", "world", "adaptation", "randomise")
 def warn_of_pitfalls(scene: Scene, arguments: Mapping[str, Any]) -> None:
     """Warn of the pitfalls among the arguments that a scene was made of."""
     found = (
-        _dropped_design(scene.task, arguments.get("design")),
+        _dropped_design(scene.task_class, arguments.get("design")),
         _dropped_world(scene, arguments.get("world")),
         _short_step(scene, arguments),
         _soft_joints(scene),
@@ -53,11 +53,11 @@ def _dropped_world(scene: Scene, given: World | Mapping[str, Any] | None) -> str
     if not objects:
         return ""
     try:
-        own = vars(scene.task.world(scene.lattice))
+        own = vars(scene.task_class.world(scene.lattice))
     except ValueError:  # It has none that fits this body.
         return ""
     dropped = _dropped(World(**objects), {name: own[name] for name in objects})
-    return _told("world: this world", dropped, scene.task, "the task's own by a dict of what differs")
+    return _told("world: this world", dropped, scene.task_class, "the task's own by a dict of what differs")
 
 
 def _dropped(given: Parameters, own: Mapping[str, object]) -> dict[str, tuple[object, object]]:
@@ -107,7 +107,7 @@ def _without_one(scene: Scene, arguments: Mapping[str, Any]) -> Iterator[tuple[s
     for name in OPTIONS:
         if arguments.get(name) is not None:
             yield name, {**arguments, name: None}
-    own = {**vars(LatticeDesign()), **scene.task.design}
+    own = {**vars(LatticeDesign()), **scene.task_class.design}
     given = scene.design.to_dict()
     for name, value in given.items():
         if value != own[name]:

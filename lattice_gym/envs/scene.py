@@ -52,7 +52,7 @@ class Scene:
 
     Attributes
     ----------
-    task : type of Task
+    task_class : type of Task
         What is asked of the worms.
     design, lattice, layout, world, model
         The body, its muscles, what surrounds it, and the assembly of all of it.
@@ -70,11 +70,11 @@ class Scene:
         Physics steps in a control step.
     start : RodState
         In which episodes start.
-    terms : tuple of types
+    term_classes : tuple of types
         What is observed, in order.
-    activation : Activation
+    activation_law : Activation
         How activations follow commands.
-    adaptation, randomisation, rhythm, engine, splitting, energy_check, step_check
+    adaptation, randomisation, rhythm, engine_name, splitting, energy_check, step_check
         As given, with defaults filled in.
 
     Raises
@@ -112,26 +112,26 @@ class Scene:
         *,
         goals_apart: bool = False,
     ) -> None:
-        self.task, self.goals_apart = _task(task, goals_apart), goals_apart
-        self.engine = choice("engine", engine, ENGINES)
+        self.task_class, self.goals_apart = _task(task, goals_apart), goals_apart
+        self.engine_name = choice("engine", engine, ENGINES)
         self.energy_check, self.step_check = flag("energy_check", energy_check), flag("step_check", step_check)
         self.control_dt = number("control_dt", control_dt, MIN_CONTROL_DT, MAX_CONTROL_DT, "s")
         self.rhythm = optional(number, "rhythm", rhythm, 0.0, 0.5 / self.control_dt, "Hz", above=True)
         preset = named_fidelity(fidelity)
-        self.design = preset.remesh(_design(design, self.task.design))
+        self.design = preset.remesh(_design(design, self.task_class.design))
         self.lattice = build_lattice(self.design)
         self.layout = self._own_muscles() if muscles is None else resolve_layout(muscles, self.lattice)
         self.groups = control_groups(control, self.layout, self.lattice)
         self.n_group = int(self.groups.max()) + 1
         self.action_range = resolve_action_range(action_range)
         self.action_space = spaces.Box(*self.action_range, (self.n_group,), np.float32)
-        self.world = resolve_world(world, self.task.world, self.lattice)
+        self.world = resolve_world(world, self.task_class.world, self.lattice)
         if self.world.lying and self.design.base == "clamped":
             raise ValueError("world: a worm that lies needs a free base (design.base); on a clamped one it stands")
         self.adaptation = Adaptation.resolve("adaptation", adaptation)
-        self.activation = resolve_activation(activation, self.design)
+        self.activation_law = resolve_activation(activation, self.design)
         self.randomisation = Randomisation.resolve(randomise)
-        self.terms = resolve_terms(observation, self)
+        self.term_classes = resolve_terms(observation, self)
         self.model = build_model(self.lattice, self.layout, self.world, hill=Hill.resolve("hill", hill))
         self._task_arguments: dict[str, Any] = {
             "command": command,
@@ -139,19 +139,19 @@ class Scene:
             "time_limit": time_limit,
         }
         first = self.make_task(1)
-        preferred: Splitting = "pyelastica" if self.engine == "pyelastica" else preset.splitting
+        preferred: Splitting = "pyelastica" if self.engine_name == "pyelastica" else preset.splitting
         self.splitting: Splitting = optional(choice, "splitting", splitting, get_args(Splitting)) or preferred
         self.n_substeps, self.dt = self._substeps(dt, flag("allow_large_dt", allow_large_dt))
         self.start = settle(first, self.model, self.layout)
 
     def make_task(self, n_worm: int) -> Task:
         """Task of so many worms; its `rest` is that of the model until it is given the state that episodes start in."""
-        return self.task(self.lattice, self.control_dt, model=self.model, n_worm=n_worm, **self._task_arguments)
+        return self.task_class(self.lattice, self.control_dt, model=self.model, n_worm=n_worm, **self._task_arguments)
 
     def _own_muscles(self) -> MuscleLayout:
         """Muscles that the task is meant for."""
-        label = f"{self.task.__name__}.muscles"
-        return instance(label, self.task.muscles(self.lattice), MuscleLayout, "; return one, or leave the method out")
+        label, own = f"{self.task_class.__name__}.muscles", self.task_class.muscles(self.lattice)
+        return instance(label, own, MuscleLayout, "; return one, or leave the method out")
 
     def _substeps(self, dt: object, allow_large_dt: bool) -> tuple[int, float]:
         """Physics steps in a control step, and their length [s]."""

@@ -74,7 +74,7 @@ class _Points(ObservationTerm):
     def __init__(self, scene: Scene) -> None:
         points = self._points(scene)
         self._nodes = points[~np.isin(points, scene.model.clamped_nodes[0]).any(axis=1)].T
-        self._rest, self._travels = self._sum(scene.start.position), scene.task.travels
+        self._rest, self._travels = self._sum(scene.start.position), scene.task_class.travels
         # Of sums over the nodes of a point, which are one or two, so that nothing is rounded by it.
         scale = len(self._nodes) * scene.design.height
         self._scale = scale * np.array([DISPLACEMENT_SCALE, 1.0])[:, None, None]
@@ -151,8 +151,8 @@ class Command(ObservationTerm):
         if scene.goals_apart:
             raise ValueError('observation: "command" is observed apart, as "desired_goal"; leave it out')
         # Tasks of the package clip what they tell themselves; that of any other task is checked.
-        self.stays_within = TASKS.get(scene.task.name) is scene.task
-        self.high = np.array(scene.task.bounds, dtype=np.float64)
+        self.stays_within = TASKS.get(scene.task_class.name) is scene.task_class
+        self.high = np.array(scene.task_class.bounds, dtype=np.float64)
         self.low = -self.high
 
     def __call__(self, worms: Worms) -> FloatArray:

@@ -117,7 +117,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
     def spec(self, spec: EnvSpec | None) -> None:
         self._spec = spec
         if self._limit:
-            warn_of_time_limit(spec, self.scene.task, self._limit)
+            warn_of_time_limit(spec, self.scene.task_class, self._limit)
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]

@@ -115,7 +115,7 @@ class EnergyMeter:
         for side in (left, left + 1):
             share[side] += 0.5 * parts["bend"]
         element = int(np.argmax(share))
-        rod = int(np.searchsorted(self.model.element_offset, element, side="right")) - 1
+        rod = int(self.model.element_rod[element])
         return rod, element - int(self.model.element_offset[rod])
 
 

@@ -25,7 +25,7 @@ MIN_AMPLITUDE = 5e-4
 MIN_COHERENCE = 0.9
 """Motion of which the dominant mode has a smaller share (of the power) is no wave but noise.
 
-Measured over two periods of a typical wave (27 to 60 control steps): 0.999 for the gait of gaits.py, 0.92 with three
+Measured over two periods of a typical wave (27 to 60 control steps): 0.999 for the gait of peristalsis, 0.92 with three
 tenths of its ring commands random, at most 0.42 for white noise, 0.67 for random commands of muscles or rings and 0.91
 for those of columns, which move all levels together. Recordings of a dozen rows and fewer are too short to tell.
 """

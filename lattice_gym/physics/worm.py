@@ -115,9 +115,17 @@ def _muscle_rod(lattice: Lattice, muscle: Muscle) -> Rod:
 def _muscle_line(lattice: Lattice, muscle: Muscle, rod: Rod) -> Line:
     """Line with the length, stiffness, mass and damping of a muscle's rod."""
     (rod_a, node_a), (rod_b, node_b) = (_tie(lattice, site) for site in (muscle.start, muscle.end))
-    length, stiffness = float(rod.rest_length.sum()), float(rod.stretch_stiffness[0])
-    damping = rod.damping * (rod.n_elem + 1)
-    return Line(rod_a, node_a, rod_b, node_b, length, stiffness, float(rod.mass.sum()), damping, rod.density)
+    return Line(
+        rod_a,
+        node_a,
+        rod_b,
+        node_b,
+        rest_length=float(rod.rest_length.sum()),
+        stiffness=float(rod.stretch_stiffness[0]),
+        mass=float(rod.mass.sum()),
+        damping=rod.damping * (rod.n_elem + 1),
+        density=rod.density,
+    )
 
 
 def _tie(lattice: Lattice, site: int) -> tuple[int, int]:

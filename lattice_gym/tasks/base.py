@@ -33,6 +33,8 @@ EFFORT, DIVERGENCE = "effort", "divergence"
 """Reward terms of every task, after its own: the price of activation, and that of physics that diverged."""
 EFFORT_WEIGHT = 0.01
 """Price of holding every muscle fully active, per control step: small against what any task pays."""
+REWARD_ROUNDING = 1e-9
+"""Share of the largest declared reward by which a sum of terms may leave its bounds."""
 MIN_PENALTY = 1000.0
 """What a divergence costs at least."""
 MAX_WEIGHT = 1e6
@@ -85,6 +87,15 @@ class RewardTerm(NamedTuple):
         """Largest difference of its weighted sums over any two episodes of at most so many steps."""
         # An episode may end before anything was earned or lost.
         return (1 if self.per_episode else steps) * abs(weight) * (max(self.high, 0.0) - min(self.low, 0.0))
+
+    def step_bounds(self, weight: float) -> tuple[float, float]:
+        """Least of its weighted values in one control step, or 0 if that is less, and largest, or 0 if that is more."""
+        if weight == 0.0:
+            return 0.0, 0.0
+        if self.per_episode:  # A step is the difference of two sums, each within the range.
+            return -self.span(1, weight), self.span(1, weight)
+        low, high = sorted((weight * self.low, weight * self.high))
+        return min(low, 0.0), max(high, 0.0)
 
 
 class Task(ABC):
@@ -208,6 +219,14 @@ class Task(ABC):
         once = self._spread(0)
         each = self._spread(1) - once
         return max(self.time_limit, math.floor((self.penalty - once) / each)) if each > 0.0 else math.inf
+
+    @cached_property
+    def reward_bounds(self) -> tuple[float, float]:
+        """Least and largest reward of one control step, by the ranges in `rewards` and to rounding."""
+        bounds = [term.step_bounds(self.weights[name]) for name, term in self._all_rewards.items()]
+        least, most = (math.fsum(ends) for ends in zip(*bounds, strict=True))
+        slack = REWARD_ROUNDING * max((size for size in (-least, most) if math.isfinite(size)), default=0.0)
+        return least - slack, most + slack
 
     def _spread(self, steps: int) -> float:
         """Largest difference of two sound episodes of at most so many steps, by the ranges that are known."""

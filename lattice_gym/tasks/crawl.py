@@ -98,7 +98,10 @@ class Crawl(Task):
         return {"progress": self.memory["way"]}
 
     def outcome(self, motion: Motion, worms: IntArray) -> dict[str, FloatArray]:
-        """Speed along the command [body lengths a minute], drift off it [rad] and cost of transport, see env.py."""
+        """Speed along the command [body lengths a minute], drift off it [rad], cost of transport.
+
+        `LatticeWormEnv` says what that is.
+        """
         start, time, work = (self.memory[name][worms] for name in ("start", "time", "work"))
         way = self._displacement(motion, start)
         along = way[:, 0] * self.commanded["direction"][worms]

@@ -171,7 +171,7 @@ class Pack:
         self._tension = muscles.pack(model, self._element, cells)
         has = features(model, splitting)
         tied = joints.pack(model, self._node)
-        self.scene = step.Laws(
+        self.laws = step.Laws(
             joints=tied,
             joint_damping=joints.pack_damping(model, tied),
             lines=lines.pack(model, self._node),
@@ -185,10 +185,19 @@ class Pack:
             contact=None,
             account=None,
         )
-        gaps, bounds = np.zeros((n_worm, len(model.joints))), (MIN_DILATATION, MAX_DILATATION)
-        status, found = np.zeros((2, n_worm), np.int64)
         self._worms = WormTable(
-            *self._node, *self._element, gaps, *bounds, rows, outputs.position, outputs.velocity, status, found
+            node_cell=self._node.cell,
+            node_lane=self._node.lane,
+            cell=self._element.cell,
+            lane=self._element.lane,
+            max_gap=np.zeros((n_worm, len(model.joints))),
+            min_dilatation=MIN_DILATATION,
+            max_dilatation=MAX_DILATATION,
+            row=rows,
+            position=outputs.position,
+            velocity=outputs.velocity,
+            status=np.zeros(n_worm, np.int64),
+            found=np.zeros(n_worm, np.int64),
         )
         for worm, own in enumerate(models):
             self.fill(worm, own)
@@ -197,7 +206,7 @@ class Pack:
     def fill(self, worm: int, model: RodModel) -> None:
         """Write the constants of a model with the same features, and its rest state, into the lanes of a worm."""
         self.models[worm] = model
-        cells, scene, dt = self.blocks.cells, self.scene, self._dt
+        cells, laws, dt = self.blocks.cells, self.laws, self._dt
         node, element = self._node.of(worm), self._element.of(worm)
         for cell, lane, rod in zip(
             self._placement.rod_cell[worm], self._placement.rod_lane[worm], model.rods, strict=True
@@ -206,14 +215,14 @@ class Pack:
         damping.fill_nodes(cells, node, model, dt, self._splitting)
         held, turned = node.of(model.clamped_nodes[0]), element.of(model.clamped_elements[0])
         cells["keep"][held] = cells["kick"][held] = cells["spin_kick"][turned] = 0.0
-        if scene.loads is not None:
+        if laws.loads is not None:
             loads.fill_forces(cells, node, model)
-        if scene.torques is not None:
+        if laws.torques is not None:
             loads.fill_torques(cells, element, model)
-        if scene.ground is not None:
+        if laws.ground is not None:
             ground.fill(cells, node, model)
-        joints.fill(scene.joints, scene.joint_damping, worm, model)
-        lines.fill(scene.lines, worm, model)
+        joints.fill(laws.joints, laws.joint_damping, worm, model)
+        lines.fill(laws.lines, worm, model)
         self._worms.max_gap[worm] = joint_gap_limits(model)
         if len(self.models) == 1:
             self._pack_alone(model)
@@ -223,7 +232,7 @@ class Pack:
         """Pack what only a pack of one worm has."""
         node, element, n_cell, dt = self._node.of(0), self._element.of(0), self._placement.n_cell, self._dt
         checked, outputs, row = self._energy_check, self._outputs, self.rows[0]
-        self.scene = self.scene._replace(
+        self.laws = self.laws._replace(
             ball=ball.pack(model, element, n_cell, dt, (outputs.ball_position[row], outputs.ball_velocity[row])),
             contact=contact.pack(model, element),
             account=account.pack(model, node, element, n_cell, dt, self._splitting) if checked else None,
@@ -247,7 +256,7 @@ class Pack:
 
     def state(self, worm: int) -> RodState:
         """Copy the state of a worm."""
-        cells, sphere = self.blocks.cells, self.scene.ball
+        cells, sphere = self.blocks.cells, self.laws.ball
         (node, lane), (element, own) = self._node.of(worm), self._element.of(worm)
         state = RodState(
             position=cells["x"][node, :, lane],
@@ -263,7 +272,7 @@ class Pack:
 
     def restore(self, worm: int, state: RodState) -> None:
         """Take over the state of a worm; it is neither checked nor shown."""
-        cells, sphere = self.blocks.cells, self.scene.ball
+        cells, sphere = self.blocks.cells, self.laws.ball
         (node, lane), (element, own) = self._node.of(worm), self._element.of(worm)
         cells["x"][node, :, lane] = state.position
         cells["v"][node, :, lane] = state.velocity
@@ -273,8 +282,8 @@ class Pack:
         if sphere is not None:
             sphere.position[:], sphere.velocity[:] = state.ball_position[0], state.ball_velocity[0]
             sphere.omega[:] = state.ball_omega[0]
-        if self.scene.contact is not None:
-            contact.clear_list(self.scene.contact)
+        if self.laws.contact is not None:
+            contact.clear_list(self.laws.contact)
 
     def advance(self, start: FloatArray, end: FloatArray, n_substeps: int) -> IntArray:
         """Advance with tensions that go from `start` to `end` [N], shape (n_worm, n_muscle).
@@ -286,8 +295,8 @@ class Pack:
         rise = (end - start) / n_substeps
         first = start + 0.5 * rise
         self._tension.write(first, rise)
-        lines.write_tension(self.scene.lines, first, rise)
-        step.advance(self.blocks, self.scene, self._worms, n_substeps, self._dt)
+        lines.write_tension(self.laws.lines, first, rise)
+        step.advance(self.blocks, self.laws, self._worms, n_substeps, self._dt)
         self._time += n_substeps * self._dt
         return self._worms.status
 
@@ -307,5 +316,5 @@ class Pack:
 
     def flow(self) -> Flow:
         """Energy that entered and left the one worm in the last call; only with the energy check."""
-        assert self.scene.account is not None
-        return account.flow(self.scene.account)
+        assert self.laws.account is not None
+        return account.flow(self.laws.account)

@@ -98,13 +98,13 @@ class RigidBall(Parameters):
 
 
 class BallLaw(Law):
-    """Of the ball, if there is one."""
+    """Weight of the ball, its push at rods, and the friction there."""
 
     fields: ClassVar = {"ball": one_or_none(RigidBall)}
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
-        """There is a ball."""
+        """Tell whether there is a ball."""
         return model.ball is not None
 
     @cached_property
@@ -132,7 +132,7 @@ class BallLaw(Law):
         }
 
     def work(self, before: RodState, after: RodState) -> float:
-        """Of its constant force [J]."""
+        """Work of its constant force [J]."""
         return float((after.ball_position - before.ball_position)[0] @ self.ball.force)
 
     def linearised(self, shortened: Shortened) -> Linearised:

@@ -76,13 +76,13 @@ class Contact(Parameters):
 
 
 class ContactLaw(Law):
-    """Of all rods that are no muscles."""
+    """Push of rods that are no muscles at each other."""
 
     fields: ClassVar = {"contact": one_or_none(Contact)}
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
-        """Rods touch."""
+        """Tell whether rods touch."""
         return model.contact is not None
 
     @cached_property
@@ -103,7 +103,7 @@ class ContactLaw(Law):
         return touching
 
     def energy(self, state: RodState) -> Mapping[str, FloatArray]:
-        """Of the springs, half on either element, shape (n_elem,)."""
+        """Energy of the springs, half on either element, shape (n_elem,)."""
         pairs = self.touching(state.position)
         energy = 0.5 * self._contact.stiffness * depths(self.model, state.position, pairs) ** 2
         share = np.zeros(self.model.n_elem)
@@ -111,7 +111,7 @@ class ContactLaw(Law):
         return {"contact": share}
 
     def linearised(self, shortened: Shortened) -> Linearised:
-        """As if every node were touched by other rods on both sides."""
+        """Springs and dashpots as if every node were touched by other rods on both sides."""
         contacts, law = _contact_bound(self.model, shortened.rod), self._contact
         return Linearised(
             [NodeSprings(law.stiffness * contacts)], [NodeSprings(law.damping * contacts)] if law.damping > 0.0 else []

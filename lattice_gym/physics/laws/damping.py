@@ -46,11 +46,11 @@ def coefficients(model: RodModel) -> FloatArray:
 
 
 class DampingLaw(Law):
-    """Of rods, of lines, and of the medium by its drag."""
+    """Damping of rods and of lines, and the drag of the medium."""
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
-        """Anything is damped."""
+        """Tell whether anything is damped."""
         on_rods = any(rod.damping > 0.0 or rod.rotational_damping > 0.0 for rod in model.rods)
         return on_rods or model.medium_drag > 0.0 or any(line.damping > 0.0 for line in model.lines)
 

@@ -56,11 +56,11 @@ def path_share(e: FloatArray) -> FloatArray:
 
 
 class ElasticityLaw(Law):
-    """Every model's."""
+    """Elasticity of all rods; every model has it."""
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
-        """Rods are elastic."""
+        """Tell that rods are elastic."""
         return True
 
     @cached_property
@@ -85,7 +85,7 @@ class ElasticityLaw(Law):
         )
 
     def energy(self, state: RodState) -> Mapping[str, FloatArray]:
-        """Of stretch and shear in every element, shape (n_elem,), bending and twist in every region."""
+        """Energy of stretch and shear in every element, shape (n_elem,), and of bending and twist in every region."""
         (rest, voronoi, natural), low, left = self._rest, self.model.lower_node, self.model.left_element
         side = state.position[low + 1] - state.position[low]
         length = np.sqrt(np.einsum("ni,ni->n", side, side))
@@ -101,7 +101,7 @@ class ElasticityLaw(Law):
         }
 
     def linearised(self, shortened: Shortened) -> Linearised:
-        """One operator for all rods."""
+        """Springs of all rods, in one operator."""
         return Linearised(springs=[_RodSprings.of(self.model, shortened)])
 
     def force(self, state: RodState, tension: FloatArray) -> Generalised:

@@ -96,13 +96,13 @@ class Ground(Parameters):
 
 
 class GroundLaw(Law):
-    """Of every node."""
+    """Push of the ground at every node, and the friction there."""
 
     fields: ClassVar = {"ground": one_or_none(Ground)}
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
-        """There is a ground."""
+        """Tell whether there is a ground."""
         return model.ground is not None
 
     @cached_property
@@ -125,12 +125,12 @@ class GroundLaw(Law):
         )
 
     def energy(self, state: RodState) -> Mapping[str, FloatArray]:
-        """Of the spring under every node, shape (n_node,)."""
+        """Energy of the spring under every node, shape (n_node,)."""
         depth = np.maximum(self.model.node_radius - state.position[:, 2], 0.0)
         return {"ground": 0.5 * self._ground.stiffness * depth**2}
 
     def linearised(self, shortened: Shortened) -> Linearised:
-        """As if it bore every node."""
+        """Springs and dashpots as if it bore every node."""
         upward, ground = np.array([0.0, 0.0, 1.0]), self._ground
         return Linearised(
             [NodeSprings(ground.stiffness * upward)],

@@ -92,7 +92,7 @@ class HillLaw(Law):
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
-        """There are muscles, and their force is not just their tension."""
+        """Tell whether there are muscles whose force is not just their tension."""
         return model.hill is not None and model.n_muscle > 0
 
     @cached_property

@@ -37,13 +37,13 @@ class Joint(Parameters):
 
 
 class JointLaw(Law):
-    """Of all joints."""
+    """Springs and dashpots of all joints."""
 
     fields: ClassVar = {"joints": tuple_of(Joint)}
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
-        """There are joints."""
+        """Tell whether there are joints."""
         return len(model.joints) > 0
 
     @cached_property
@@ -67,7 +67,7 @@ class JointLaw(Law):
             require(not same, f"joints[{k}]: joins a node with itself")
 
     def energy(self, state: RodState) -> Mapping[str, FloatArray]:
-        """Of every joint's spring, shape (n_joint,)."""
+        """Energy of every joint's spring, shape (n_joint,)."""
         first, second = self._ends
         apart = state.position[second] - state.position[first]
         return {"joint": 0.5 * self._stiffness * np.einsum("ni,ni->n", apart, apart)}

@@ -66,13 +66,13 @@ class Line(Parameters):
 
 
 class LineLaw(Law):
-    """Of all lines."""
+    """Stretch of all lines."""
 
     fields: ClassVar = {"lines": tuple_of(Line)}
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
-        """There are lines."""
+        """Tell whether there are lines."""
         return len(model.lines) > 0
 
     @cached_property
@@ -100,14 +100,14 @@ class LineLaw(Law):
             require(apart, f"lines[{k}]: its two ends lie at one place at rest, or too far apart")
 
     def energy(self, state: RodState) -> Mapping[str, FloatArray]:
-        """Of every line's stretch, shape (n_line,)."""
+        """Energy of every line's stretch, shape (n_line,)."""
         first, second = self._ends
         side = state.position[second] - state.position[first]
         e = np.sqrt(np.einsum("ni,ni->n", side, side)) / self._rest
         return {"line": self._stiffness * self._rest * (e - 1.0) ** 2 * path_share(e)}
 
     def linearised(self, shortened: Shortened) -> Linearised:
-        """Along a line E A / (l e^2), across it its tension over its length."""
+        """Springs along a line, E A / (l e^2), and across it, its tension over its length."""
         (first, second), place = self._ends, self.model.rest_state().position
         side = place[second] - place[first]
         along = np.einsum("ni,nj->nij", side, side) / np.sum(side**2, axis=1)[:, None, None]

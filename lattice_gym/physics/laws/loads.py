@@ -39,13 +39,13 @@ class PointTorque(Parameters):
 
 
 class LoadLaw(Law):
-    """Of all point forces and torques."""
+    """All point forces and torques."""
 
     fields: ClassVar = {"forces": tuple_of(PointForce), "torques": tuple_of(PointTorque)}
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
-        """There are loads."""
+        """Tell whether there are loads."""
         return len(model.forces) + len(model.torques) > 0
 
     def check(self) -> None:
@@ -56,7 +56,7 @@ class LoadLaw(Law):
             self.model.check_element(f"torques[{k}]", torque.rod, torque.element)
 
     def work(self, before: RodState, after: RodState) -> float:
-        """Of the forces [J]."""
+        """Work of the forces [J]."""
         return sum(float(load @ (after.position[node] - before.position[node])) for node, load in self._forces())
 
     def force(self, state: RodState, tension: FloatArray) -> Generalised:

@@ -46,7 +46,7 @@ class MediumLaw(Law):
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
-        """There is gravity; drag alone is damping."""
+        """Tell whether there is gravity; drag alone is damping."""
         return model.gravity is not None
 
     @cached_property

@@ -100,7 +100,7 @@ class MuscleLaw(Law):
 
     @classmethod
     def present(cls, model: RodModel) -> bool:
-        """Something contracts."""
+        """Tell whether anything contracts."""
         return model.n_muscle > 0
 
     @cached_property

@@ -76,15 +76,15 @@ class BlockLaws(NamedTuple):
 
 
 @entry
-def advance(blocks: Blocks, scene: Laws, worms: WormTable, n_steps: int, dt: float) -> None:
+def advance(blocks: Blocks, laws: Laws, worms: WormTable, n_steps: int, dt: float) -> None:
     """Advance all worms in place by n_steps of position Verlet, and inspect each; NaN spreads, and nothing raises.
 
     All in one: numba makes the machine code of each function anew for each that it is compiled into.
     """
     cells, work, passive, active = blocks
-    joints, joint_damping, lines, hill = scene.joints, scene.joint_damping, scene.lines, scene.hill
-    ground, ball, contact, account = scene.ground, scene.ball, scene.contact, scene.account
-    laws = BlockLaws(scene.loads, scene.torques, ground, scene.spin_damping, scene.symmetric, account)
+    joints, joint_damping, lines, hill = laws.joints, laws.joint_damping, laws.lines, laws.hill
+    ground, ball, contact, account = laws.ground, laws.ball, laws.contact, laws.account
+    block_laws = BlockLaws(laws.loads, laws.torques, ground, laws.spin_damping, laws.symmetric, account)
     _open_account(cells, active, lines, hill, account)
     _half_drift(cells, work, passive, 0.5 * dt)
     _half_drift(cells, work, active, 0.5 * dt)
@@ -100,11 +100,11 @@ def advance(blocks: Blocks, scene: Laws, worms: WormTable, n_steps: int, dt: flo
         pairs, lost = add_contact_forces(cells, contact, pairs)
         account_loss(account, dt * lost)
         write_axis(cells, ground)
-        _step_blocks(cells, work, passive, laws, None, None, dt, drift)
-        _step_blocks(cells, work, active, laws, 1.0, hill, dt, drift)
+        _step_blocks(cells, work, passive, block_laws, None, None, dt, drift)
+        _step_blocks(cells, work, active, block_laws, 1.0, hill, dt, drift)
         lost = apply_friction(cells, ball, n_touch, drift)
         account_loss(account, dt * lost)
-        _account_step(blocks, laws, account, joints, joint_damping, dt)
+        _account_step(blocks, block_laws, account, joints, joint_damping, dt)
     close_list(contact, pairs)
     _account_muscles(cells, active, lines, hill, account, 0.5, 0.5)
     sound = is_sound(cells, passive, worms) and is_sound(cells, active, worms)
