@@ -48,6 +48,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, Any]
     folder = tmp_path_factory.mktemp("reports")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(report, "QUICK", BRIEF)
+        patch.setattr(study, "EPISODE_STEPS", 4)
         starts = {"from nothing": [9.0], "cached": [1.0]}
         patch.setattr(report, "cold_starts", lambda repeats: starts)
         status = main(["--out", str(folder), "throughput", "--quick"])

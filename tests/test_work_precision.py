@@ -32,6 +32,13 @@ from lattice_gym.tasks.registry import TASKS
 pytestmark = pytest.mark.slow
 
 BRIEF = replace(SCENES[0], duration=0.1)
+QUICK = replace(
+    study.QUICK,
+    scenes=tuple(replace(scene, duration=0.1 if scene.duration < 1.0 else 0.5) for scene in SCENES),
+    steps=(50, 100, 250),
+    repeats=1,
+)
+"""The quick form with shorter motions and fewer coarse steps."""
 RESULTS = Path(report.__file__).parents[1] / "results"
 SHARE = r"-?[\d.]+(?= %)"
 
@@ -40,7 +47,9 @@ SHARE = r"-?[\d.]+(?= %)"
 def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """Folder and figures of the quick report."""
     folder = tmp_path_factory.mktemp("reports")
-    status = main(["--out", str(folder), "work-precision", "--quick"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "QUICK", QUICK)
+        status = main(["--out", str(folder), "work-precision", "--quick"])
     result = json.loads((folder / "work-precision.json").read_text())
     assert status == (0 if result["least_ratio"] >= report.MIN_GAIN else 1)
     return folder, result
