@@ -205,7 +205,7 @@ def test_a_film_takes_an_array_for_its_size(tmp_path: Path) -> None:
         (_full, "CartPole-v1", [1], r"^env = .*: must be an environment of one worm"),
         (_full, {"control": "ring"}, [1], r"^env = .*: must be an environment of one worm, its id, or a dict"),
         (_full, 7, [1], r"^env = 7: must be an environment of one worm, its id"),
-        (_full, {**SHORT, "wings": 2}, [1], "there is no argument 'wings'"),
+        (_full, {**SHORT, "wings": 2}, [1], "got an unexpected keyword argument 'wings'"),
         (lambda seen: np.ones(7), SHORT, [1], r"^action: shape must be \(8,\), got \(7,\)"),
         (lambda seen: np.ones((1, 8)), SHORT, [1], r"^action: shape must be \(8,\), got \(1, 8\)"),
         (lambda seen: None, SHORT, [1], r"^action: must hold real numbers, got object"),

@@ -69,6 +69,8 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         A step before the first reset, or of a worm that has ended and does not reset itself.
     """
 
+    closed = True
+    """Whether there is nothing to free: so for one whose arguments were refused."""
     _goals_apart: ClassVar[bool] = False
     """Whether goals are observed apart."""
     _spec: EnvSpec | None = None
@@ -107,6 +109,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
         self._random = [seeding.np_random(None) for _ in range(self.num_envs)]
         self._observation: Observation = None
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
+        self.closed = False
 
     @property
     def spec(self) -> EnvSpec | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from types import ModuleType
 
-VIDEO = ("pyvista", "imageio[ffmpeg]", "matplotlib", "moviepy")
+VIDEO = ("pyvista", "vtk", "imageio[ffmpeg]", "matplotlib", "moviepy")
 """Packages of that extra. This package is on no index, so that its extra can be named in a clone only."""
 
 

@@ -23,7 +23,7 @@ def _make(gamma: float = 0.99) -> gymnasium.Env[Any, Any]:
     env = wrappers.NormalizeObservation(env)
     env = wrappers.TransformObservation(env, lambda seen: np.clip(seen, -10, 10), env.observation_space)
     env = wrappers.NormalizeReward(env, gamma=gamma)
-    return wrappers.TransformReward(env, lambda reward: float(np.clip(reward, -10, 10)))
+    return wrappers.TransformReward(env, lambda reward: min(max(float(reward), -10.0), 10.0))
 
 
 class Agent(torch.nn.Module):

@@ -7,6 +7,7 @@ from typing import Any
 
 import gymnasium
 import imageio.v3 as iio
+import numpy as np
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.env_util import make_vec_env
@@ -52,7 +53,7 @@ def test_a_video_runs_as_fast_as_the_worm(tmp_path: Path) -> None:
     recorder = VecVideoRecorder(_worms(render_mode="rgb_array"), str(tmp_path), lambda step: step == 0, N_STEP)
     recorder.reset()
     for _ in range(N_STEP + 1):
-        recorder.step([recorder.action_space.sample() for _ in range(2)])
+        recorder.step(np.stack([recorder.action_space.sample() for _ in range(2)]))
     recorder.close()
     (video,) = tmp_path.glob("*.mp4")
     assert iio.immeta(video, plugin="FFMPEG")["fps"] == 20.0

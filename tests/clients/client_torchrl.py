@@ -30,7 +30,8 @@ def test_many_worms_and_a_step_of_ppo() -> None:
     """They reset where torchrl asks for it, as it prefers; weights change and stay finite."""
     env = GymWrapper(gymnasium.make_vec(ID, num_envs=2, autoreset_mode=AutoresetMode.DISABLED, **EXTENSION))
     n_seen, n_action = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
-    net = torch.nn.Sequential(torch.nn.Linear(n_seen, 2 * n_action), NormalParamExtractor())
+    layer = torch.nn.Linear(n_seen, 2 * n_action)
+    net = torch.nn.Sequential(layer, NormalParamExtractor())
     actor = ProbabilisticActor(
         TensorDictModule(net, ["observation"], ["loc", "scale"]),
         in_keys=["loc", "scale"],
@@ -44,14 +45,14 @@ def test_many_worms_and_a_step_of_ppo() -> None:
         batch = env.rollout(2 * N_STEP, actor, break_when_any_done=False)
     assert batch.batch_size == torch.Size([2, 2 * N_STEP])
     assert int(batch["next", "truncated"].sum()) == 4
-    before = net[0].weight.detach().clone()
+    before = layer.weight.detach().clone()
     optimiser = torch.optim.Adam([*net.parameters(), *critic.parameters()])
     GAE(gamma=0.99, lmbda=0.95, value_network=critic)(batch)
     losses = ClipPPOLoss(actor, critic)(batch.reshape(-1))
     sum(value for name, value in losses.items() if name.startswith("loss_")).backward()
     optimiser.step()
-    assert bool(torch.isfinite(net[0].weight).all())
-    assert bool((net[0].weight != before).any())
+    assert bool(torch.isfinite(layer.weight).all())
+    assert bool((layer.weight != before).any())
     env.close()
 
 
