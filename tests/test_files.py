@@ -165,6 +165,9 @@ def test_an_error_about_another_file_stays_one(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"absent"), files.replacing(tmp_path / "file"):
         (tmp_path / "absent").read_bytes()
     assert not list(tmp_path.iterdir())
+    with pytest.raises(OSError, match="full") as refused, files.claimed(tmp_path):
+        raise OSError(errno.ENOSPC, "full")  # as where the output of a program goes to a full disk
+    assert refused.value.filename is None
 
 
 # A full disk

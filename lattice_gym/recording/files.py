@@ -13,7 +13,7 @@ import re
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from hashlib import blake2b
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -96,7 +96,9 @@ def claimed(folder: Path) -> Iterator[None]:
 
     They may read and write in it none the less.
     """
-    with _named(folder), _own_folder(folder, ""):
+    with ExitStack() as claim:
+        with _named(folder):
+            claim.enter_context(_own_folder(folder, ""))
         yield
 
 
