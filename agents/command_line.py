@@ -19,7 +19,7 @@ from typing import TypeVar
 import tyro
 
 from agents.config import InputError
-from lattice_gym.recording.files import reason
+from lattice_gym.recording.files import one_line, reason
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 """What ctrl-C, a batch system or make send to end a program."""
@@ -98,7 +98,7 @@ def as_program() -> Iterator[None]:
         try:
             yield
         except InputError as error:
-            sys.exit(f"error: {error}")
+            sys.exit(f"error: {one_line(str(error))}")
         except OSError as error:
             if error.errno is None:
                 raise

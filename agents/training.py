@@ -108,8 +108,8 @@ def create_run(config: TrainConfig) -> Path:
         with suppress(FileExistsError):
             run_folder.make(path, contents)
             return path
-    must = "must be a new or empty folder; to continue that run give --resume"
-    raise InputError(f"run_dir = {config.run_dir}: {must} {config.run_dir}")
+    must = f"must be a new or empty folder; to continue that run give {command('--resume', path)}"
+    raise InputError(f"run_dir = {path}: {must}")
 
 
 def _places(config: TrainConfig) -> Iterator[Path]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 import shlex
@@ -312,6 +313,20 @@ def test_a_run_of_an_odd_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(rollouts, "render_video", partial(render_video, size=(96, 64)))
     assert all(file.stat().st_size > 0 for file in export(path).paths().values())
     assert not leftovers(tmp_path)
+
+
+def test_errors_are_one_line(finished: Path, tmp_path: Path) -> None:
+    """Whatever is in a path, and however torch tells of weights of another shape."""
+    copy = Path(shutil.copytree(finished, tmp_path / "two\nlines"))
+    settings = json.loads((copy / "config.json").read_text())
+    (copy / "config.json").write_text(json.dumps(settings | {"hidden_sizes": [8]}))
+    with pytest.raises(SystemExit) as ended, as_program():
+        train(replace(resume_settings(copy), total_steps=240))
+    line = str(ended.value.code)
+    assert re.match(
+        r"error: .*two lines/checkpoints/\d+/model\.zip: damaged or not of this kind: .*size mismatch", line
+    )
+    assert "\n" not in line
 
 
 def test_commands_can_be_copied() -> None:

@@ -121,7 +121,12 @@ def discard(path: Path) -> None:
 def reason(error: OSError) -> str:
     """Name the file and say why, in one line."""
     why = error.strerror or str(error)
-    return why if error.filename is None else f"{os.fsdecode(error.filename)}: {why}"
+    return one_line(why if error.filename is None else f"{os.fsdecode(error.filename)}: {why}")
+
+
+def one_line(text: str) -> str:
+    """Text without line breaks, which a path or another package's message may have."""
+    return re.sub(r"\s*[\r\n]+\s*", " ", text)
 
 
 @contextmanager
