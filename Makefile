@@ -47,7 +47,7 @@ clean:
 .venv-clients/.installed: pyproject.toml .ci/clients.txt
 	$(PYTHON) -m venv .venv-clients
 	$(CLIENTS) -m pip install -r .ci/clients.txt
-	$(CLIENTS) -m pip install --no-deps -e .
+	$(CLIENTS) -m pip install --no-deps -e .  # tianshou holds filelock below what this package asks for
 	touch $@
 
 $(STAMP): pyproject.toml $(CONSTRAINTS)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -42,3 +44,14 @@ def test_a_video_recorder_takes_the_frames_of_the_worm(tmp_path: Path) -> None:
         assert recorder.frames_per_sec == 20.0
     assert recorder.spec.id == WORM["id"]
     recorder.close()
+
+
+def test_the_adapter_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And a command that installs it."""
+    monkeypatch.delitem(sys.modules, "lattice_gym.sb3")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "stable_baselines3"]:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(
+        ImportError, match=r'^lattice_gym\.sb3 needs .*stable_baselines3.*: pip install "stable-baselines3>='
+    ):
+        import_module("lattice_gym.sb3")

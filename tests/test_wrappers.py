@@ -121,14 +121,13 @@ def test_videos_have_the_frames_of_the_worm(tmp_path: Path) -> None:
     many: Any = gymnasium.make_vec(num_envs=2, **WORM, render_mode="rgb_array")
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*Overwriting existing videos.*")
-        wrapped: list[Any] = [
-            wrappers.RecordVideo(single, str(tmp_path / "one"), disable_logger=True),
-            vector_wrappers.RecordVideo(many, str(tmp_path / "many"), disable_logger=True),
-        ]
+        wrapped: list[Any] = [wrappers.RecordVideo(single, str(tmp_path / "one"), disable_logger=True)]
+        if hasattr(vector_wrappers, "RecordVideo"):  # not in older releases of gymnasium
+            wrapped.append(vector_wrappers.RecordVideo(many, str(tmp_path / "many"), disable_logger=True))
     for env in wrapped:
         assert env.metadata["render_fps"] == 20.0
         env.reset(seed=0)
         for _ in range(3):
             env.step(env.action_space.sample())
         env.close()
-    assert all(list((tmp_path / name).glob("*.mp4")) for name in ("one", "many"))
+    assert len(list(tmp_path.glob("*/*.mp4"))) == len(wrapped)
