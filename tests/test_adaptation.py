@@ -160,6 +160,7 @@ def test_resets(carry: bool) -> None:
             np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.filterwarnings("ignore:hill.* the physics step")
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_copies_go_on_exactly(copied: Any) -> None:
     """Strength is part of the state."""
@@ -204,6 +205,7 @@ def test_goals_are_observed_beside_strengths() -> None:
     assert flat_space(env).shape[0] == flat_space(LatticeWormGoalEnv(design=SMALL)).shape[0] + n_muscle
 
 
+@pytest.mark.filterwarnings("ignore:hill.* the physics step")
 def test_checkers_specs_and_space() -> None:
     """Gymnasium's checker passes; objects survive JSON; the observation grows by one number a muscle."""
     made = gymnasium.make(

@@ -138,14 +138,14 @@ def test_names_of_its_own_are_a_tasks_own_matter() -> None:
 @pytest.mark.parametrize("value", [0.5, np.zeros(2), np.zeros((1, 1))])
 @pytest.mark.parametrize("method", ["terms", "outcome"])
 def test_a_method_must_give_a_number_a_worm(method: str, value: Any) -> None:
-    """The first step says which method does not, and what it gave."""
+    """The first reset or step says which method does not, and what it gave."""
     odd = _stand(**{method: lambda self, *arguments: {"height": value}})
     env = LatticeWormEnv(odd, fidelity="fast")
-    env.reset(seed=0)
     shape = re.escape(str(np.shape(value)))
     with pytest.raises(
         ValueError, match=rf"^Odd.{method}: 'height' has shape {shape}: must have \(1,\), one number a worm$"
     ):
+        env.reset(seed=0)
         env.step(np.zeros(env.action_space.shape))
 
 
@@ -202,9 +202,8 @@ def test_what_cannot_be_remembered(gives: Any, message: str) -> None:
 def test_methods_that_give_nothing() -> None:
     """As where a return was forgotten."""
     env = LatticeWormEnv(_stand(outcome=lambda self, motion, worms: None), fidelity="fast")
-    env.reset(seed=0)
     with pytest.raises(ValueError, match=r"^Odd.outcome = None: must be a mapping of names to arrays$"):
-        env.step(np.zeros(env.action_space.shape))
+        env.reset(seed=0)
     with pytest.raises(ValueError, match=r"^Odd.muscles = None: must be MuscleLayout; return one, or leave the method"):
         LatticeWormEnv(_stand(muscles=classmethod(lambda cls, lattice: None)), fidelity="fast")
 
