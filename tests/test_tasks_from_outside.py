@@ -10,6 +10,7 @@ from typing import Any, ClassVar, cast
 import gymnasium
 import numpy as np
 import pytest
+from small_worms import episode
 from task_scenes import CALM, LATTICE, REST, terms_of, tipped
 
 from lattice_gym.body.design import LatticeDesign
@@ -145,8 +146,7 @@ def test_a_method_must_give_a_number_a_worm(method: str, value: Any) -> None:
     with pytest.raises(
         ValueError, match=rf"^Odd.{method}: 'height' has shape {shape}: must have \(1,\), one number a worm$"
     ):
-        env.reset(seed=0)
-        env.step(np.zeros(env.action_space.shape))
+        episode(env, 1)
 
 
 class Count(Stand):
