@@ -247,6 +247,15 @@ def test_a_fork_has_threads_of_its_own() -> None:
     batch.close()
 
 
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Let SIGINT interrupt, which shells keep from what they run in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("waiting", [False, True])
 def test_an_interrupted_call_leaves_no_thread_at_work(waiting: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Be it at work or waiting for others: what they have begun ends first, and nothing more begins."""
