@@ -27,6 +27,9 @@ Mask = npt.NDArray[np.bool_]
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
+SOUND = Health()
+"""That of a step in which nothing failed."""
+
 
 class Step(NamedTuple):
     """Result of a control step."""
@@ -170,7 +173,7 @@ class Worms:
 
     def health(self, worm: int = 0) -> Health:
         """How the last step of a worm went, and where it failed."""
-        return self.engine.health(worm) if self._failed[worm] else Health()
+        return self.engine.health(worm) if self._failed[worm] else SOUND
 
     def status(self, worm: int = 0) -> str:
         """Return "ok", or what went wrong in the last step of a worm and where; of several, with the worm's number."""

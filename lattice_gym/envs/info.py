@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 STATUS = ("status", "rod", "element", "joint")
 """Names of the whole numbers that tell how a step went: a code of `Status`, and where, -1 for nowhere."""
-SOUND = (int(Status.OK), -1, -1, -1)
+_SOUND = (int(Status.OK), -1, -1, -1)
 """Those numbers where nothing failed."""
+_SOUND_COLUMN = np.array(_SOUND)[:, None]
 
 
 def describe_status(
@@ -61,8 +62,9 @@ def describe_status(
 
 def worm_info(worms: Worms, worm: int = 0) -> dict[str, Any]:
     """Return what is told of a worm at the start and after every step alike, apart from reward, outcome and counts."""
+    health = worms.health(worm)
     info: dict[str, Any] = {"command": worms.task.command_of(worm)}
-    info.update(zip(STATUS, _numbers(worms.health(worm)) if worms.failed[worm] else SOUND, strict=True))
+    info["status"], info["rod"], info["element"], info["joint"] = _SOUND if health.ok else _numbers(health)
     if worms.factors:
         info["factors"] = {name: _row(values, worm) for name, values in worms.factors.items()}
     if worms.scene.adaptation is not None:
@@ -73,11 +75,10 @@ def worm_info(worms: Worms, worm: int = 0) -> dict[str, Any]:
 def worm_infos(worms: Worms) -> dict[str, Any]:
     """Return `worm_info` of all worms: arrays with a row a worm."""
     infos: dict[str, Any] = {"command": {name: values.copy() for name, values in worms.task.commanded.items()}}
-    numbers = np.full((len(STATUS), worms.n_worm), -1)
-    numbers[0] = Status.OK
+    numbers = _SOUND_COLUMN.repeat(worms.n_worm, axis=1)
     for worm in worms.failed.nonzero()[0].tolist():
         numbers[:, worm] = _numbers(worms.health(worm))
-    infos.update(zip(STATUS, numbers, strict=True))
+    infos["status"], infos["rod"], infos["element"], infos["joint"] = numbers
     if worms.factors:
         infos["factors"] = {name: values.copy() for name, values in worms.factors.items()}
     if worms.scene.adaptation is not None:

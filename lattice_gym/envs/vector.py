@@ -188,7 +188,7 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
             observation, n_beyond = self.worms.observe()
             terms = {name: np.where(ended, 0.0, values) for name, values in result.terms.items()}
             told = self._infos(terms, np.where(ended, 0, n_clipped), n_beyond)
-        infos = _mask_infos(told, np.ones_like(live)) | others
+        infos = _masked(told, np.ones_like(live), whole=True) | others
         self._observation = observation
         return _copy(observation), result.reward, result.terminated, truncated, infos
 
@@ -231,7 +231,8 @@ class LatticeWormVectorEnv(SceneAttributes, VectorEnv[Observation, npt.NDArray[n
     def _infos(self, terms: dict[str, FloatArray], n_clipped: IntArray, n_beyond: IntArray) -> dict[str, Any]:
         """Info of the last step, or of the start, of every worm."""
         infos = worm_infos(self.worms)
-        return infos | {"reward_terms": terms, "clipped_actions": n_clipped, "clipped_observations": n_beyond}
+        infos["reward_terms"], infos["clipped_actions"], infos["clipped_observations"] = terms, n_clipped, n_beyond
+        return infos
 
     def _outcome_of(self, worms: IntArray) -> dict[str, FloatArray]:
         """Outcome of some worms, by name and with a row for every worm; nothing at all without any."""
@@ -293,12 +294,15 @@ def _worms(mask: Mask) -> list[int]:
 
 def _mask_infos(values: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
     """Infos of some worms as gymnasium has them: arrays with a mask each; nothing where there are none."""
-    if not rows.any():
-        return {}
-    whole, infos = bool(rows.all()), dict[str, Any]()
+    return _masked(values, rows, bool(rows.all())) if rows.any() else {}
+
+
+def _masked(values: Mapping[str, Any], rows: Mask, whole: bool) -> dict[str, Any]:
+    """Infos of some worms, of all of them where they are the whole."""
+    infos: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, dict):
-            infos[name] = _mask_infos(value, rows)
+            infos[name] = _masked(value, rows, whole)
         elif whole:
             infos[name] = value
         else:
