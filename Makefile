@@ -1,6 +1,6 @@
 # make demo   trains a policy on LatticeWorm-v0 and films it; run again it continues.
 #             FRESH=1 starts over, VIDEO=0 does not film.
-# make test   every check: ruff, mypy, import-linter and all tests, in about 4 minutes on two cores.
+# make test   every check: ruff, mypy, import-linter and all tests, in about 6 minutes on two cores.
 # make check  the fast part of them, within a minute: all but the tests marked slow.
 # make clients  a short real run of every library in docs/clients.md, in an environment of its own, .venv-clients; writes that page.
 # All start from a bare CPython 3.11 or newer with pip, and reuse .venv when it is up to date. CONSTRAINTS=.ci/lowest.txt takes the oldest
