@@ -96,11 +96,15 @@ def test_what_is_no_path_is_named(path: object, short: Trajectory) -> None:
 # What is there
 
 
-@pytest.mark.parametrize("other", ["folder", "empty folder", "pipe", "device"])
+@pytest.mark.parametrize("other", ["folder", "empty folder", "link to a folder", "loop", "pipe", "device"])
 def test_only_files_are_replaced(other: str, tmp_path: Path, short: Trajectory) -> None:
     """A folder is not lost, and neither is the system's /dev/null, which its owner could replace."""
     path = tmp_path / "other"
-    if "folder" in other:
+    if other == "loop":
+        path.symlink_to(path)
+    elif other == "link to a folder":
+        path.symlink_to(tmp_path)
+    elif "folder" in other:
         path.mkdir()
         if other == "folder":
             (path / "thesis.txt").touch()
@@ -110,11 +114,10 @@ def test_only_files_are_replaced(other: str, tmp_path: Path, short: Trajectory) 
         os.mknod(path, 0o666 | stat.S_IFCHR, os.stat("/dev/null").st_rdev)
     else:
         path = Path("/dev/null")
-    before = path.stat()
+    before = path.lstat()
     with pytest.raises(FileExistsError, match=f"not a file that could be replaced: '{path}'"):
         short.save(path)
-    assert stat.S_IFMT(path.stat().st_mode) == stat.S_IFMT(before.st_mode)
-    assert path.stat().st_ino == before.st_ino
+    assert (path.lstat().st_mode, path.lstat().st_ino) == (before.st_mode, before.st_ino)
     assert not leftovers(tmp_path)
 
 

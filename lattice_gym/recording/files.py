@@ -63,7 +63,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     given = checked_path("path", path)
     with _named(given):
         target = Path(os.path.realpath(given)) if given.is_symlink() else given
-        _only_a_file(target)
+        if os.path.lexists(target) and not target.is_file():  # a folder would be lost, and so would /dev/null
+            raise FileExistsError(errno.EEXIST, "is there already, and not a file that could be replaced", str(given))
         target.parent.mkdir(parents=True, exist_ok=True)
         with _own_folder(target.parent, target.name) as folder:
             new = folder / f"new{target.suffix}"
@@ -140,12 +141,6 @@ def _named(path: Path) -> Iterator[None]:
         if error.errno is None or not ours:
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
-
-
-def _only_a_file(target: Path) -> None:
-    """Raise FileExistsError where something stands that is not a file: a folder is not lost, nor is /dev/null."""
-    if os.path.lexists(target) and not target.is_file():
-        raise FileExistsError(errno.EEXIST, "is there already, and not a file that could be replaced", str(target))
 
 
 @contextmanager
